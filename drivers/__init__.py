@@ -1,0 +1,1 @@
+"""Hardware to numpy and plain types."""

@@ -1,0 +1,60 @@
+"""Open any supported LiDAR recording by its suffix and contents."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import chain
+from pathlib import Path
+
+from drivers.cloud_formats import SUFFIXES
+from drivers.ouster import open_ouster
+from drivers.scan_files import open_scan_files
+from drivers.types import Recording
+from drivers.velodyne import is_velodyne_pcap, open_velodyne
+from onboard.core.errors import InputError
+from onboard.core.lidar import lidar_model
+
+KINDS = (".pcap", ".rawlog", ".osf", *SUFFIXES)
+
+
+def open_recording(path: Path, sensor: str | None = None) -> Recording:
+    """Open `path`; `sensor` is the nominal LiDAR's name, needed only where the files do not tell.
+
+    Raises InputError, one line, for a missing path, an empty file, an unknown kind, missing metadata, a sensor that
+    contradicts the recording, and a recording without a single usable scan.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or folder")
+    if path.is_file() and path.stat().st_size == 0:
+        raise InputError(f"{path}: empty file")
+    if sensor is not None:
+        lidar_model(sensor)
+    recording = _open(path)
+    if sensor is not None and recording.model_name not in (None, sensor):
+        raise InputError(
+            f"{path}: {recording.sensor_name} maps as '{recording.model_name}', not as '{sensor}'"
+        )
+    first = next(recording.scans, None)
+    if first is None:
+        raise InputError(
+            f"{path}: no usable scan inside ({recording.sensor_name}): empty, cut or wrong metadata"
+        )
+    return replace(
+        recording, model_name=recording.model_name or sensor, scans=chain([first], recording.scans)
+    )
+
+
+def _open(path: Path) -> Recording:
+    if path.is_dir() or path.suffix in SUFFIXES:
+        return open_scan_files(path)
+    match path.suffix:
+        case ".rawlog":
+            return open_velodyne(path)
+        case ".osf":
+            return open_ouster(path)
+        case ".pcap":
+            return open_velodyne(path) if is_velodyne_pcap(path) else open_ouster(path)
+        case other:
+            raise InputError(
+                f"{path}: unknown kind '{other}'; known: {', '.join(KINDS)} or a folder of scans"
+            )

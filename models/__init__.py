@@ -1,0 +1,1 @@
+"""Learned codecs: definition, training, export (needs the train extra)."""

@@ -1,0 +1,1 @@
+"""Onboard autonomy: everything that runs on a robot."""

@@ -1,0 +1,5 @@
+"""Keyframe bitstream: scan to bytes to scan."""
+
+from onboard.codec.keyframe import Keyframe, decode, encode
+
+__all__ = ["Keyframe", "decode", "encode"]

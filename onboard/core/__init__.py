@@ -1,0 +1,1 @@
+"""Types that everything shares: geometry, sensors, messages, configuration, errors."""

@@ -1,0 +1,165 @@
+"""The one configuration schema: strict, bounded, units in the names, refused rather than repaired."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from onboard.core.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0)]
+NonNegative = Annotated[float, Field(ge=0)]
+Ratio = Annotated[float, Field(ge=0, le=1)]
+Vector = tuple[float, float, float]
+
+
+class Section(BaseModel):
+    """Base of every table: unknown keys are an error and values never change after loading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+
+class LidarSettings(Section):
+    """The LiDAR of one robot and the noise that the simulator gives it."""
+
+    model: Literal["vlp-16", "os0-64"]
+    mount_m: Vector
+    rate_hz: Positive = 2.0
+    noise_std_m: NonNegative = 0.02
+    dropout: Ratio = 0.02
+
+
+class KeyframeSettings(Section):
+    """When a scan becomes a keyframe (tau_t, tau_r) and how finely its ranges are coded."""
+
+    translation_m: Positive
+    rotation_rad: Positive = 0.785
+    range_step_m: Annotated[float, Field(ge=0.01, le=0.4)] = 0.1
+
+
+class MapSettings(Section):
+    """The voxel map of every robot."""
+
+    voxel_m: Annotated[float, Field(ge=0.05, le=1.0)] = 0.2
+    max_range_m: Positive = 20.0
+
+
+class PlannerSettings(Section):
+    """Local and global planning of one robot; the symbols are those of docs/planner.md."""
+
+    window_m: Vector = (30.0, 30.0, 8.0)
+    vertices: Annotated[int, Field(ge=20, le=5000)] = 600
+    edge_max_m: Positive = 3.0
+    clearance_m: NonNegative = 0.15
+    gain_range_m: Positive = 20.0
+    gain_vertices: Annotated[int, Field(ge=5, le=2000)] = 150
+    occlusion_rate_per_m: NonNegative = 0.15
+    direction_weight: NonNegative = 1.0
+    start_up_s: Positive = 3.0
+    frontier_m3: Positive = 1.5
+    horizon_m: Positive = 8.0
+    replan_s: Positive = 4.0
+    switch_gain: Annotated[float, Field(ge=1)] = 1.15
+    home_margin_s: NonNegative = 20.0
+    home_margin_ratio: Ratio = 0.15
+
+
+class RobotSettings(Section):
+    """One member of the team: body, motion, sensor, planner."""
+
+    name: Annotated[str, Field(min_length=1, max_length=16)]
+    id: Annotated[int, Field(ge=0, le=255)]
+    kind: Literal["ground", "aerial"]
+    size_m: Vector
+    speed_m_s: Positive
+    yaw_rate_rad_s: Positive
+    acceleration_m_s2: Positive
+    lidar: LidarSettings
+    keyframes: KeyframeSettings
+    planner: PlannerSettings = PlannerSettings()
+    step_max_m: NonNegative = 0.25
+    slope_max_rad: NonNegative = 0.5236
+    battery_wh: Positive = 1000.0
+    hover_power_w: Positive = 100.0
+    reserve: Ratio = 0.2
+
+
+class DeploymentSettings(Section):
+    """When the carrier releases (the trigger) and what it sends along."""
+
+    rule: Literal["rate", "paper"] = "rate"
+    gamma: NonNegative = 0.7
+    min_rate_m3_s: Positive = 0.05
+    min_volume_m3: Positive = 50.0
+    debounce_cycles: Annotated[int, Field(ge=1)] = 3
+    launch_s: NonNegative = 30.0
+    keyframes_sent: Annotated[int, Field(ge=1)] = 300
+    overhead_clearance_m: Positive = 1.2
+
+
+class RadioSettings(Section):
+    """The simulated radio between the robots."""
+
+    range_m: Positive = 50.0
+    wall_loss_db: NonNegative = 0.0
+    rate_bytes_s: Positive = 150_000.0
+    latency_s: NonNegative = 0.02
+    loss: Ratio = 0.01
+
+
+class MissionSettings(Section):
+    """The clock of the mission and the regrouping rules."""
+
+    duration_s: Positive = 900.0
+    regroup_radius_m: Positive = 3.0
+    contact_timeout_s: Positive = 3.0
+    regroup_period_s: Positive = 15.0
+
+
+class Config(Section):
+    """Everything a mission needs to know."""
+
+    mission: MissionSettings = MissionSettings()
+    map: MapSettings = MapSettings()
+    deployment: DeploymentSettings = DeploymentSettings()
+    radio: RadioSettings = RadioSettings()
+    robots: Annotated[tuple[RobotSettings, ...], Field(min_length=1)]
+
+    def robot(self, name: str) -> RobotSettings:
+        """The robot called `name`. Raises ConfigError for an unknown one."""
+        for robot in self.robots:
+            if robot.name == name:
+                return robot
+        raise ConfigError(f"no robot '{name}'; the team is {', '.join(r.name for r in self.robots)}")
+
+
+def load_config(path: Path) -> Config:
+    """Read a TOML file. Raises ConfigError with file, key, value and bound for anything wrong."""
+    try:
+        data = tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise ConfigError(f"{path}: no such configuration file") from error
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+    return parse_config(data, str(path))
+
+
+def parse_config(data: dict[str, Any], origin: str) -> Config:
+    """Validate plain data; `origin` names it in messages. Raises ConfigError."""
+    try:
+        config = Config.model_validate(data)
+    except ValidationError as error:
+        raise ConfigError("\n".join(_explain(origin, problem) for problem in error.errors())) from error
+    ids = [robot.id for robot in config.robots]
+    names = [robot.name for robot in config.robots]
+    if len(set(ids)) < len(ids) or len(set(names)) < len(names):
+        raise ConfigError(f"{origin}: robots: names and ids must differ, got {names} {ids}")
+    return config
+
+
+def _explain(origin: str, problem: Any) -> str:
+    key = ".".join(str(part) for part in problem["loc"])
+    return f"{origin}: {key} = {problem.get('input')!r}: {problem['msg']}"

@@ -1,0 +1,1 @@
+"""Voxel map, its kernels, distance and gain."""

@@ -1,0 +1,136 @@
+"""Growing storage of voxel blocks and their hash table."""
+
+from __future__ import annotations
+
+from typing import TypeVar
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from onboard.mapping.blocks import (
+    BLOCK_EDGE,
+    BLOCK_VOXELS,
+    NO_BLOCK,
+    PlanningTables,
+    Slots,
+    Words,
+    block_key,
+    find_block,
+    insert_block,
+)
+
+UNSEEN = -128
+"""Log-odds value of a voxel that no ray has touched."""
+
+_Scalar = TypeVar("_Scalar", bound=np.generic)
+_HASH_PLACES_PER_BLOCK = 4
+
+
+class BlockStore:
+    """Rows of blocks: log-odds, bit masks and the hash from key to row. `count` rows are in use.
+
+    log_odds (rows, 512) int8; masks (rows, 8): occupied (log-odds > 0), own_occupied (of these, hit by our
+    own scans), bumped (assumed occupied), planning_occupied, planning_known (with what is assumed);
+    seen (rows, 2, 8): observed by OWN, PEER.
+    """
+
+    def __init__(self, capacity: int = 1024) -> None:
+        self.count = 0
+        self.block_keys: Words = np.empty(0, np.int64)
+        self.log_odds: NDArray[np.int8] = np.empty((0, BLOCK_VOXELS), np.int8)
+        self.seen: Words = np.empty((0, 2, BLOCK_EDGE), np.int64)
+        self.occupied = _no_masks()
+        self.own_occupied = _no_masks()
+        self.bumped = _no_masks()
+        self.planning_occupied = _no_masks()
+        self.planning_known = _no_masks()
+        self.keys: Words
+        self.slots: Slots
+        self._resize(capacity)
+
+    def _resize(self, capacity: int) -> None:
+        self.log_odds = _grown(self.log_odds, capacity, UNSEEN)
+        self.block_keys = _grown(self.block_keys, capacity, 0)
+        self.seen = _grown(self.seen, capacity, 0)
+        self.occupied = _grown(self.occupied, capacity, 0)
+        self.own_occupied = _grown(self.own_occupied, capacity, 0)
+        self.bumped = _grown(self.bumped, capacity, 0)
+        self.planning_occupied = _grown(self.planning_occupied, capacity, 0)
+        self.planning_known = _grown(self.planning_known, capacity, 0)
+        self.keys = np.full(_HASH_PLACES_PER_BLOCK * capacity, NO_BLOCK, np.int64)
+        self.slots = np.empty(self.keys.size, np.int32)
+        _fill_hash(self.keys, self.slots, self.block_keys, self.count)
+
+    def slots_of(self, wanted: Words) -> Words:
+        """Rows of these block keys (N,), created where missing."""
+        rows = np.empty(wanted.size, np.int64)
+        while not self._assign(wanted, rows):
+            self._resize(2 * self.block_keys.size)
+        return rows
+
+    def _assign(self, wanted: Words, rows: Words) -> bool:
+        count, complete = _find_or_create(self.keys, self.slots, self.block_keys, self.count, wanted, rows)
+        self.count = count
+        return bool(complete)
+
+    def planning_tables(self) -> PlanningTables:
+        """Views for planning kernels, valid until the next change."""
+        return PlanningTables(self.keys, self.slots, self.planning_occupied, self.planning_known)
+
+
+def _no_masks() -> Words:
+    return np.empty((0, BLOCK_EDGE), np.int64)
+
+
+def _grown(array: NDArray[_Scalar], rows: int, fill: int) -> NDArray[_Scalar]:
+    grown = np.full((rows, *array.shape[1:]), fill, array.dtype)
+    grown[: array.shape[0]] = array
+    return grown
+
+
+@njit(cache=True, nogil=True)
+def _fill_hash(keys: Words, slots: Slots, block_keys: Words, count: int) -> None:
+    for slot in range(count):
+        insert_block(keys, slots, block_keys[slot], slot)
+
+
+@njit(cache=True, nogil=True)
+def _find_or_create(
+    keys: Words, slots: Slots, block_keys: Words, count: int, wanted: Words, rows: Words
+) -> tuple[int, bool]:
+    """Rows of the wanted keys; stops with False when the store is full."""
+    for i in range(wanted.size):
+        slot = find_block(keys, slots, wanted[i])
+        if slot < 0:
+            if count == block_keys.size:
+                return count, False
+            slot = count
+            insert_block(keys, slots, wanted[i], slot)
+            block_keys[slot] = wanted[i]
+            count += 1
+        rows[i] = slot
+    return count, True
+
+
+@njit(cache=True, nogil=True)
+def block_keys_of_box(first: Words, last: Words) -> Words:
+    """Keys of all blocks from block `first` (3,) to `last` (3,), inclusive."""
+    size = last - first + 1
+    keys = np.empty(size[0] * size[1] * size[2], np.int64)
+    n = 0
+    for z in range(first[2], last[2] + 1):
+        for y in range(first[1], last[1] + 1):
+            for x in range(first[0], last[0] + 1):
+                keys[n] = block_key(x, y, z)
+                n += 1
+    return keys
+
+
+@njit(cache=True, nogil=True)
+def block_keys_of_voxels(voxels: Words) -> Words:
+    """Key of the block of each voxel index (N, 3)."""
+    keys = np.empty(voxels.shape[0], np.int64)
+    for i in range(voxels.shape[0]):
+        keys[i] = block_key(voxels[i, 0] >> 3, voxels[i, 1] >> 3, voxels[i, 2] >> 3)
+    return keys

@@ -1,0 +1,87 @@
+"""The phases of a mission as a pure state machine: what each robot is doing, and what makes it do the next thing.
+
+    ground  CARRYING -> DEPLOYING -> EXPLORING -> RETURNING -> WAITING -> DONE
+    aerial  CARRIED -> TAKING_OFF -> EXPLORING -> RETURNING -> WAITING -> DONE
+
+A ground robot without an aerial one begins in EXPLORING and is DONE when it is back.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Phase(IntEnum):
+    """What a robot is doing; the number is its code on the air."""
+
+    CARRIED = 0
+    CARRYING = 1
+    DEPLOYING = 2
+    TAKING_OFF = 3
+    EXPLORING = 4
+    RETURNING = 5
+    WAITING = 6
+    DONE = 7
+
+
+FLYING = frozenset({Phase.TAKING_OFF, Phase.EXPLORING, Phase.RETURNING, Phase.WAITING, Phase.DONE})
+AT_REGROUP = frozenset({Phase.CARRIED, Phase.WAITING, Phase.DONE})
+"""A robot that is still aboard is wherever its carrier is."""
+
+
+@dataclass(frozen=True)
+class Facts:
+    """What a robot knows at one step; the defaults are those of a robot for which the fact does not arise."""
+
+    fire: bool = False
+    """The deployment trigger fired (carrier)."""
+    shared: bool = False
+    """Everything that must reach the peers has been acknowledged by them."""
+    released: bool = False
+    """The carrier released this robot (aerial)."""
+    peer_clear: bool = False
+    """The deployed robot is far enough from its carrier (carrier), or the climb is done (aerial)."""
+    nothing_left: bool = False
+    """No path is worth its time or fits the budget."""
+    must_return: bool = False
+    """The way back needs all the time that is left."""
+    arrived: bool = False
+    """The robot is at the regrouping point."""
+    peers_arrived: bool = False
+    """Every peer says that it is at the regrouping point too, and is in contact."""
+    complete: bool = False
+    """Every keyframe of every peer has been received."""
+
+
+def next_phase(phase: Phase, facts: Facts) -> Phase:
+    """The phase that follows, which is `phase` itself while nothing calls for a change."""
+    match phase:
+        case Phase.CARRYING:
+            return _carrying(facts)
+        case Phase.DEPLOYING:
+            return Phase.EXPLORING if facts.peer_clear else phase
+        case Phase.CARRIED:
+            return Phase.TAKING_OFF if facts.released else phase
+        case Phase.TAKING_OFF:
+            return Phase.EXPLORING if facts.peer_clear else phase
+        case Phase.EXPLORING:
+            return Phase.RETURNING if facts.nothing_left or facts.must_return else phase
+        case Phase.RETURNING:
+            return Phase.WAITING if facts.arrived else phase
+        case Phase.WAITING:
+            return _waiting(facts)
+        case _:
+            return phase
+
+
+def _carrying(facts: Facts) -> Phase:
+    if facts.fire:
+        return Phase.DEPLOYING
+    return Phase.RETURNING if facts.nothing_left or facts.must_return else Phase.CARRYING
+
+
+def _waiting(facts: Facts) -> Phase:
+    if not facts.arrived:
+        return Phase.RETURNING
+    return Phase.DONE if facts.peers_arrived and facts.shared and facts.complete else Phase.WAITING

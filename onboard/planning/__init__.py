@@ -1,0 +1,1 @@
+"""Local graph, volumetric gain, best path, global graph, deployment, regrouping."""

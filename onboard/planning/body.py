@@ -1,0 +1,56 @@
+"""How each kind of robot plans: which graph, which collision box, where its LiDAR is."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.core.config import RobotSettings
+from onboard.core.lidar import lidar_model
+from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
+from onboard.planning.aerial_graph import build_aerial_graph
+from onboard.planning.gain import GainModel
+from onboard.planning.ground_graph import build_ground_graph
+from onboard.planning.local_graph import FloatArray, LocalGraph
+
+
+class Body:
+    """Planning view of one robot kind over a voxel map."""
+
+    def __init__(self, settings: RobotSettings, voxel_m: float) -> None:
+        self.settings = settings
+        self.planner = settings.planner
+        self.mount = np.array(settings.lidar.mount_m)
+        self.gain_model = GainModel.for_lidar(
+            lidar_model(settings.lidar.model),
+            range_m=settings.planner.gain_range_m,
+            voxel_m=voxel_m,
+            occlusion_rate_per_m=settings.planner.occlusion_rate_per_m,
+        )
+        length, width, height = settings.size_m
+        if settings.kind == "ground":
+            # the upper half of the body: below it, a tread of the stairs ahead would look like an obstacle
+            self.box_centre = np.array([0.0, 0.0, height * 0.8])
+            self.half_extent = np.array([width / 2 - 0.1, width / 2 - 0.1, height * 0.15])
+        else:
+            self.box_centre = np.zeros(3)
+            self.half_extent = np.array([length / 2, width / 2, height / 2])
+
+    def graph(
+        self, voxel_map: VoxelMap, point: FloatArray, rng: np.random.Generator, seeds: FloatArray | None
+    ) -> LocalGraph:
+        """Local graph rooted at the body's reference point (3,)."""
+        if self.settings.kind == "ground":
+            return build_ground_graph(voxel_map, point, self.planner)
+        return build_aerial_graph(voxel_map, point, self.planner, self.settings.size_m, rng, seeds)
+
+    def gains(self, voxel_map: VoxelMap, points: FloatArray) -> FloatArray:
+        """Volume in m^3 (N,) that the robot's LiDAR would newly see from reference points (N, 3)."""
+        if len(points) == 0:
+            return np.zeros(0)
+        return np.asarray(self.gain_model.evaluate(voxel_map, points + self.mount), np.float64)
+
+    def blocked(self, voxel_map: VoxelMap, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
+        """Whether an occupied voxel lies in the body's way (N,) from (N, 3) to (N, 3)."""
+        status = voxel_map.segment_status(starts + self.box_centre, ends + self.box_centre, self.half_extent)
+        return np.asarray(status == OCCUPIED)

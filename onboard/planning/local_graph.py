@@ -1,0 +1,67 @@
+"""What the local planner needs from a graph around the robot, whatever the robot is."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+FloatArray = NDArray[np.float64]
+
+
+class LocalGraph(Protocol):
+    """Reachable vertices around the robot with their shortest paths.
+
+    `points` (V, 3) reference points of the body (ground: on the floor; aerial: the centre), vertex 0 is the root;
+    `distances_m` (V,) travel lengths from the root.
+    """
+
+    points: FloatArray
+    distances_m: FloatArray
+
+    def path(self, vertex: int) -> FloatArray:
+        """(M, 3) corners of the way from the root to a vertex."""
+        ...
+
+    def connects(self, start: FloatArray, end: FloatArray) -> bool:
+        """Whether the robot can go straight from `start` to `end`, both (3,) inside the window."""
+        ...
+
+    def reach(self, point: FloatArray, radius_m: float) -> FloatArray | None:
+        """(M, 3) way from the root to the reachable place closest to `point`, None beyond `radius_m`."""
+        ...
+
+
+def thin(points: FloatArray, spacing_m: float, limit: int) -> NDArray[np.int64]:
+    """Indices of the first point of every cubic cell of edge `spacing_m`, at most `limit`, order kept."""
+    cells = np.floor(points / spacing_m).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return np.sort(first)[:limit]
+
+
+def polyline_length(path: FloatArray) -> float:
+    """Length in metres of a polyline (M, 3)."""
+    return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())
+
+
+def resample(path: FloatArray, step_m: float) -> FloatArray:
+    """The polyline with points at most `step_m` apart; all its corners are kept."""
+    pieces = [path[:1]]
+    for start, end in zip(path[:-1], path[1:], strict=True):
+        count = max(1, int(np.ceil(np.linalg.norm(end - start) / step_m)))
+        fractions = np.arange(1, count + 1)[:, None] / count
+        pieces.append(start + fractions * (end - start))
+    return np.concatenate(pieces)
+
+
+def truncate(path: FloatArray, length_m: float) -> FloatArray:
+    """The first `length_m` of a polyline."""
+    lengths = np.linalg.norm(np.diff(path, axis=0), axis=1)
+    ends = np.cumsum(lengths)
+    if len(lengths) == 0 or ends[-1] <= length_m:
+        return path
+    last = int(np.searchsorted(ends, length_m))
+    fraction = 1 - (ends[last] - length_m) / lengths[last]
+    cut = path[last] + fraction * (path[last + 1] - path[last])
+    return np.concatenate([path[: last + 1], cut[None]])

@@ -1,0 +1,1 @@
+"""One robot's whole autonomy as a core that is stepped: sensors and frames in, commands and frames out."""

@@ -1,0 +1,188 @@
+"""The ground robot's role: carry, decide when to release, hand over map and target, agree on where to meet."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onboard.core.config import RobotSettings
+from onboard.core.geometry import Pose
+from onboard.mission import FLYING, Facts, Phase
+from onboard.planning.body import Body
+from onboard.planning.deployment import TAKE_OFF_M, AerialOutlook, Decision, Trigger, aerial_outlook
+from onboard.planning.plan import Plan
+from onboard.planning.local_graph import FloatArray
+from onboard.planning.regroup import Acceptor, thinned
+from onboard.robot.roles import Team, vector
+from onboard.sharing.messages import Ack, Commit, Message, Propose, Release, Target, Times, TravelTime
+
+CLEAR_M = 2.0
+HANDOVER_TIMEOUT_S = 60.0
+CLEAR_TIMEOUT_S = 20.0
+TIMES_SPACING_M = 3.0
+MAX_OFFERED = 60
+DOUBT_WAIT_S = 20.0
+
+
+class Carrier:
+    """Role of a ground robot with any number of aerial robots aboard; they are released one after the other."""
+
+    release = False
+
+    def __init__(self, team: Team, seed: int, start: Pose) -> None:
+        self._team = team
+        self._aboard = [peer for peer in team.peers if peer.kind == "aerial"]
+        self.first_phase = Phase.CARRYING if self._aboard else Phase.EXPLORING
+        home = team.sensing.sensor_pose(start).position
+        self._acceptor = Acceptor([home])
+        self._doubt_since_s: float | None = None
+        self._deployed: RobotSettings | None = None
+        self._deploying_since_s = 0.0
+        self._released_s: float | None = None
+        self._times_sent_s = -np.inf
+        self._decision: Decision | None = None
+        self._outlook: AerialOutlook | None = None
+        self._rng = np.random.default_rng([seed, team.settings.id, 1])
+        self._trigger: Trigger | None = None
+        self._virtual: Body | None = None
+        self._prepare_next()
+
+    def _prepare_next(self) -> None:
+        if self._aboard:
+            settings = self._aboard[0]
+            self._trigger = Trigger(self._team.config.deployment, settings)
+            self._virtual = Body(settings, self._team.config.map.voxel_m)
+
+    def regroup_point(self) -> FloatArray | None:
+        return self._acceptor.points[0]
+
+    def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
+        decision = self._decision
+        self._decision = None
+        return Facts(
+            fire=decision is not None and decision.fire and bool(self._aboard),
+            shared=self._team.all_shared(),
+            peer_clear=phase == Phase.DEPLOYING and self._hand_over(now_s, pose),
+            peers_arrived=self._team.peers_arrived(now_s),
+            complete=self._team.all_received(),
+        )
+
+    def planned(self, now_s: float, phase: Phase, pose: Pose, plan: Plan) -> None:
+        """Ask the deployment question after every planning cycle while carrying."""
+        if phase != Phase.CARRYING or self._trigger is None or self._virtual is None:
+            return
+        team = self._team
+        take_off = pose.position + np.array([0.0, 0.0, team.settings.size_m[2] + TAKE_OFF_M])
+        settings = team.config.deployment
+        self._outlook = team.profile.timed(
+            "outlook", aerial_outlook, team.explorer.map, self._virtual, take_off, self._rng, settings.launch_s
+        )
+        ground = self._ground_gain(plan, settings.rule)
+        self._decision = self._trigger.evaluate(ground, self._outlook, team.remaining(now_s), pose)
+        team.log(
+            "trigger",
+            fire=self._decision.fire,
+            reason=self._decision.reason,
+            ground=round(self._decision.ground, 3),
+            aerial=round(self._decision.aerial, 3),
+            threshold=round(self._decision.threshold, 3),
+        )
+
+    def _ground_gain(self, plan: Plan, rule: str) -> float:
+        explorer = self._team.explorer
+        if len(plan.path) == 0:
+            return 0.0
+        if rule == "paper":
+            counts = explorer.body.gain_model.ray_count(explorer.map, plan.path + explorer.body.mount)
+            return float(np.sum(counts))
+        return plan.gain_m3 / (plan.time_s + explorer.settings.planner.start_up_s)
+
+    def entered(self, now_s: float, phase: Phase, pose: Pose) -> None:
+        team = self._team
+        if phase == Phase.WAITING:
+            for peer in team.peer_ids:
+                if team.peer_phase(peer) in FLYING:
+                    team.link.set_sharing(peer, True)
+        if phase != Phase.DEPLOYING:
+            return
+        self._deployed = self._aboard[0]
+        self._deploying_since_s, self._released_s = now_s, None
+        place = team.sensing.sensor_pose(pose).position
+        self._acceptor = Acceptor([place], [self._acceptor.epochs[-1]])
+        first = max(0, len(team.keyframe_positions) - team.config.deployment.keyframes_sent)
+        team.link.set_sharing(self._deployed.id, True, first)
+        assert self._outlook is not None
+        targets = [vector(target) for target in self._outlook.targets]
+        team.link.post(Target(targets[0], tuple(targets[1:])), self._deployed.id)
+        team.log("deploy", deployed=self._deployed.name, position=vector(place), target=targets[0], keyframes_from=first)
+
+    def _hand_over(self, now_s: float, pose: Pose) -> bool:
+        """Wait for the map to be shared, open the bracket, wait for the aerial robot to get clear; True when done."""
+        assert self._deployed is not None
+        link, peer = self._team.link, self._deployed.id
+        self.release = False
+        if self._released_s is None:
+            shared = link.unshared(peer) == 0 and link.in_contact(peer, now_s)
+            if shared or now_s - self._deploying_since_s > HANDOVER_TIMEOUT_S:
+                self._released_s = now_s
+                self.release = True
+                self._team.log("release", deployed=self._deployed.name)
+            return False
+        status = link.peer_status(peer)
+        flying = status is not None and Phase(status.phase) in FLYING
+        if not flying:
+            link.post(Release(vector(pose.position)), peer)
+        away = status is not None and float(np.linalg.norm(np.array(status.position_m) - pose.position)) > CLEAR_M
+        if (flying and away) or now_s - self._released_s > CLEAR_TIMEOUT_S:
+            self._aboard = self._aboard[1:]
+            self._prepare_next()
+            return True
+        return False
+
+    def handle(self, now_s: float, source: int, message: Message, pose: Pose) -> None:
+        match message:
+            case Propose():
+                point = np.array(message.position_m)
+                times = self._team.explorer.times_to(pose.position, (point - self._team.explorer.body.mount)[None])
+                feasible = bool(times[0] * 1.15 + 20.0 < self._team.remaining(now_s))
+                if self._acceptor.proposed(message.epoch, point, feasible):
+                    self._team.link.post(Ack(message.epoch), source)
+                    self._doubt_since_s = now_s if self._acceptor.in_doubt else None
+            case Commit():
+                before = len(self._acceptor.points)
+                self._acceptor.committed(message.epoch)
+                if len(self._acceptor.points) < before:
+                    self._team.log("regroup", position=message.position_m, epoch=message.epoch)
+            case _:
+                pass
+
+    def tick(self, now_s: float, phase: Phase, pose: Pose) -> None:
+        """Offer travel times to the own keyframes, and after a fruitless wait try the other doubtful point."""
+        mission = self._team.config.mission
+        if phase == Phase.EXPLORING and now_s - self._times_sent_s > mission.regroup_period_s:
+            self._times_sent_s = now_s
+            for peer in self._team.peers:
+                if self._team.link.in_contact(peer.id, now_s) and self._team.peer_phase(peer.id) == Phase.EXPLORING:
+                    self._team.link.post(self._times(pose), peer.id)
+        if phase != Phase.WAITING or not self._acceptor.in_doubt:
+            self._doubt_since_s = now_s
+        elif self._doubt_since_s is not None and now_s - self._doubt_since_s > DOUBT_WAIT_S:
+            self._acceptor.points.reverse()
+            self._acceptor.epochs.reverse()
+            self._doubt_since_s = now_s
+
+    def _times(self, pose: Pose) -> Times:
+        """Travel times to the newest keyframes, spaced, that this robot can reach over its global graph."""
+        team = self._team
+        positions = np.stack(team.keyframe_positions)
+        chosen = thinned(positions, TIMES_SPACING_M)[:MAX_OFFERED]
+        times = team.explorer.times_to(pose.position, positions[chosen] - team.explorer.body.mount)
+        return Times(
+            tuple(
+                TravelTime(int(index), vector(positions[index]), float(time))
+                for index, time in zip(chosen, times, strict=True)
+                if np.isfinite(time) and time < 6000
+            )
+        )
+
+    def plan(self, now_s: float, phase: Phase, pose: Pose) -> Plan | None:
+        return None

@@ -1,0 +1,205 @@
+"""The core of one robot: map, planner, mission, link and motion, stepped with sensor readings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from onboard.core.config import Config, RobotSettings
+from onboard.core.geometry import Pose
+from onboard.core.lidar import Scan
+from onboard.mission import Facts, Phase, next_phase
+from onboard.planning.deployment import flight_time
+from onboard.planning.explorer import Explorer
+from onboard.planning.plan import Plan
+from onboard.planning.follower import HALT, Velocity
+from onboard.planning.local_graph import FloatArray
+from onboard.robot.carrier import Carrier
+from onboard.robot.flyer import Flyer
+from onboard.robot.interface import Inputs, Log, Outputs, Profile
+from onboard.robot.motion import Motion
+from onboard.robot.roles import Role, Team, vector
+from onboard.robot.sensing import Sensing
+from onboard.sharing import LinkCore
+from onboard.sharing.messages import Status
+
+START_DISC_M = 3.0
+"""The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets it there."""
+RETURN_CHECK_S = 1.0
+IDLE_CYCLES = 3
+MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
+
+
+class RobotCore:
+    """Everything a robot thinks. No I/O: sensor readings and frames go in, commands and frames come out."""
+
+    def __init__(
+        self,
+        config: Config,
+        settings: RobotSettings,
+        seed: int,
+        start: Pose,
+        log: Log,
+        clock: Callable[[], float],
+    ) -> None:
+        self.settings = settings
+        self.explorer = Explorer(settings, config.map, seed)
+        self.sensing = Sensing(settings, self.explorer.map)
+        peers = [robot.id for robot in config.robots if robot.name != settings.name]
+        self.link = LinkCore(settings.id, peers, contact_timeout_s=config.mission.contact_timeout_s)
+        self.motion = Motion(settings, self.explorer)
+        self.profile = Profile(clock)
+        self.team = Team(config, settings.name, self.explorer, self.sensing, self.link, log, self.profile)
+        self.role: Role = Carrier(self.team, seed, start) if settings.kind == "ground" else Flyer(self.team)
+        self.phase = self.role.first_phase
+        self.arrived_s: float | None = None
+        self._log = log
+        self._idle = 0
+        self._return_checked_s = -np.inf
+        self._must_return = False
+        if settings.kind == "ground":
+            self._stand_at(start)
+
+    def _stand_at(self, start: Pose) -> None:
+        self.explorer.begin(start.position, start.yaw)
+        steps = np.arange(-START_DISC_M, START_DISC_M, 0.1)
+        grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        disc = grid[np.hypot(*grid.T) <= START_DISC_M]
+        floor = start.position + np.column_stack([disc, np.full(len(disc), -0.02)])
+        self.explorer.map.assume_occupied(floor)
+
+    def step(self, inputs: Inputs) -> Outputs:
+        """One control cycle (10 Hz)."""
+        now_s, pose = inputs.now_s, inputs.pose
+        frames = self.link.step(now_s, inputs.frames)
+        for source, message in self.link.take_messages():
+            self.role.handle(now_s, source, message, pose)
+        self._integrate_received()
+        if inputs.scan is not None and self.maps():
+            self._integrate(self.team.without_peers(inputs.scan, pose, now_s), pose)
+        if self.explorer.graph is not None:
+            self.explorer.observe(pose.position)
+        self._budget(inputs)
+        self._advance(now_s, pose)
+        velocity = self._move(now_s, pose)
+        self.role.tick(now_s, self.phase, pose)
+        self.link.set_status(self._status(inputs))
+        return Outputs(velocity, self.role.release, frames)
+
+    def maps(self) -> bool:
+        """A carried robot's LiDAR is mapped once its carrier has begun to hand over."""
+        return self.phase != Phase.CARRIED or len(self.link.store) > 0
+
+    def _integrate(self, scan: Scan, pose: Pose) -> None:
+        self.profile.timed("map", self.sensing.integrate, scan, pose)
+        if self.phase != Phase.CARRIED and self.sensing.keyframe_due(pose):
+            payload, position = self.profile.timed("encode", self.sensing.make_keyframe, scan, pose)
+            self.link.add_keyframe(scan.stamp_s, payload)
+            self.team.keyframe_positions.append(position)
+            self.team.keyframe_bytes += len(payload)
+
+    def _integrate_received(self) -> None:
+        places: list[FloatArray] = []
+        for _, _, payload in self.link.take_keyframes():
+            place = self.profile.timed("decode", self.sensing.receive, payload)
+            if place is not None:
+                places.append(place)
+        self.team.remember_trail(places)
+
+    def _budget(self, inputs: Inputs) -> None:
+        remaining = self.team.remaining(inputs.now_s)
+        if self.settings.kind == "aerial":
+            remaining = min(remaining, flight_time(self.settings, inputs.charge))
+        self.explorer.budget.remaining_s = remaining
+        point = self.role.regroup_point()
+        self.explorer.budget.back_to = None if point is None else point - self._regroup_offset()
+        self.explorer.peer_goals = [
+            np.array(status.goal_m)
+            for status in map(self.link.peer_status, self.team.peer_ids)
+            if status is not None and status.goal_m is not None and inputs.now_s - status.stamp_s < 30.0
+        ]
+
+    def _regroup_offset(self) -> FloatArray:
+        """Regrouping points are LiDAR positions of the ground robot; a flying one goes there itself."""
+        return np.array(self.settings.lidar.mount_m) if self.settings.kind == "ground" else np.zeros(3)
+
+    def _advance(self, now_s: float, pose: Pose) -> None:
+        facts = replace(
+            self.role.facts(now_s, self.phase, pose),
+            nothing_left=self._idle >= IDLE_CYCLES,
+            must_return=self.phase in MOVING and self._must_go(now_s, pose),
+            arrived=self._arrived(pose),
+        )
+        following = next_phase(self.phase, facts)
+        if following == self.phase:
+            return
+        self._log("phase", phase=following.name.lower(), position=vector(pose.position), **self._why(facts))
+        self.phase = following
+        self._idle = 0
+        self.motion.adopt(now_s - 10.0, None)
+        if following == Phase.WAITING and self.arrived_s is None:
+            self.arrived_s = now_s
+        self.role.entered(now_s, following, pose)
+
+    def _why(self, facts: Facts) -> dict[str, str]:
+        if self.phase not in MOVING or facts.fire:
+            return {}
+        return {"reason": "time to return" if facts.must_return else "nothing left to explore"}
+
+    def _must_go(self, now_s: float, pose: Pose) -> bool:
+        """Once a second: does the way back need all the time that is left?"""
+        if now_s - self._return_checked_s >= RETURN_CHECK_S and self.explorer.graph is not None:
+            self._return_checked_s = now_s
+            here = Plan(pose.position[None], "here")
+            self._must_return = not self.explorer.affordable(here)
+        return self._must_return
+
+    def _arrived(self, pose: Pose) -> bool:
+        target = self.explorer.budget.back_to
+        if target is None or self.phase not in (Phase.RETURNING, Phase.WAITING):
+            return False
+        radius = self.team.config.mission.regroup_radius_m
+        near = float(np.linalg.norm(pose.position - target)) <= radius
+        return near and (self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose)))
+
+    def _move(self, now_s: float, pose: Pose) -> Velocity:
+        if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.WAITING, Phase.DONE):
+            return HALT
+        if self.motion.due(now_s, pose):
+            self.motion.adopt(now_s, self._plan(now_s, pose))
+        return self.motion.step(now_s, pose)
+
+    def _plan(self, now_s: float, pose: Pose) -> Plan | None:
+        insisted: Plan | None = self.role.plan(now_s, self.phase, pose)
+        if insisted is not None:
+            return insisted
+        if self.phase == Phase.RETURNING:
+            return self._plan_return(pose)
+        plan: Plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, self.motion.plan)
+        self._idle = 0 if len(plan.path) else self._idle + 1
+        self.role.planned(now_s, self.phase, pose, plan)
+        self._log("plan", choice=plan.kind, gain_m3=round(plan.gain_m3, 2), score=round(plan.score, 3))
+        return plan
+
+    def _plan_return(self, pose: Pose) -> Plan | None:
+        """Way to the regrouping point; an aerial robot stops short of it and leaves the place itself to the other."""
+        target = self.explorer.budget.back_to
+        assert target is not None
+        plan = self.explorer.go_to(pose.position, target)
+        if self.settings.kind == "ground" or len(plan.path) == 0:
+            return plan
+        return self.explorer.stop_short(plan, self.team.config.mission.regroup_radius_m * 0.7)
+
+    def _status(self, inputs: Inputs) -> Status:
+        plan = self.motion.plan
+        return Status(
+            stamp_s=inputs.now_s,
+            phase=int(self.phase),
+            position_m=vector(inputs.pose.position),
+            battery_ratio=float(np.clip(inputs.charge, 0.0, 1.0)),
+            goal_m=None if plan is None else vector(plan.goal),
+            remaining_s=max(0.0, self.team.remaining(inputs.now_s)),
+            keyframes=len(self.team.keyframe_positions),
+        )

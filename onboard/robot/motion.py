@@ -1,0 +1,97 @@
+"""Following the current plan: when to plan again, when to stop, and noticing that the robot does not get on."""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from onboard.core.config import RobotSettings
+from onboard.core.geometry import Pose
+from onboard.planning.explorer import Explorer
+from onboard.planning.plan import Plan, remaining_path
+from onboard.planning.follower import HALT, Velocity, finished, follow, stopping_path
+from onboard.planning.local_graph import FloatArray
+
+MONITOR_S = 0.5
+MONITOR_AHEAD_M = 3.0
+STUCK_S = 4.0
+STUCK_M = 0.3
+RETRY_S = 1.0
+NEAR_END_M = 0.8
+
+
+class Motion:
+    """Holds the plan of one robot and turns it into velocity commands."""
+
+    def __init__(self, settings: RobotSettings, explorer: Explorer) -> None:
+        self._settings = settings
+        self._explorer = explorer
+        self.plan: Plan | None = None
+        self.stuck_events = 0
+        self._planned_s = -np.inf
+        self._checked_s = -np.inf
+        self._trail: deque[tuple[float, FloatArray]] = deque()
+
+    def adopt(self, now_s: float, plan: Plan | None) -> None:
+        """Follow this plan from now on; None or an empty one stops the robot."""
+        self.plan = plan if plan is not None and len(plan.path) else None
+        self._planned_s = now_s
+
+    def due(self, now_s: float, pose: Pose) -> bool:
+        """Whether it is time to plan."""
+        since = now_s - self._planned_s
+        if self.plan is None:
+            return since >= RETRY_S
+        if since < RETRY_S:
+            return False
+        return since >= self._settings.planner.replan_s or stopping_path(self.plan.path, pose, NEAR_END_M)
+
+    def at_end(self, pose: Pose) -> bool:
+        """Whether the plan has been followed to its end."""
+        return self.plan is None or finished(self._settings, pose, self.plan.path)
+
+    def step(self, now_s: float, pose: Pose) -> Velocity:
+        """Velocity command of this step; drops a plan that is blocked or does not get on."""
+        if self.plan is None:
+            self._trail.clear()
+            return HALT
+        if now_s - self._checked_s >= MONITOR_S:
+            self._checked_s = now_s
+            if self._explorer.path_blocked(remaining_path(pose.position, self.plan.path), MONITOR_AHEAD_M):
+                self.drop(now_s)
+                return HALT
+        command = follow(self._settings, pose, self.plan.path)
+        if self._is_stuck(now_s, pose, command):
+            self._mark_stuck(now_s, pose, command)
+            return HALT
+        return command
+
+    def drop(self, now_s: float) -> None:
+        """Stop and plan anew as soon as possible."""
+        self.plan = None
+        self._planned_s = now_s - RETRY_S
+        self._trail.clear()
+
+    def _is_stuck(self, now_s: float, pose: Pose, command: Velocity) -> bool:
+        """No net progress over the last seconds although the robot was told to move (progress watchdog)."""
+        if np.linalg.norm(command.linear) < 0.05 and abs(command.yaw_rate) > 0.1:
+            self._trail.clear()
+        self._trail.append((now_s, pose.position.copy()))
+        while now_s - self._trail[0][0] > STUCK_S:
+            self._trail.popleft()
+        old = now_s - self._trail[0][0] > 0.9 * STUCK_S
+        return old and float(np.linalg.norm(self._trail[0][1] - pose.position)) < STUCK_M
+
+    def _mark_stuck(self, now_s: float, pose: Pose, command: Velocity) -> None:
+        """Something that the map does not show is in the way: remember it and leave this goal alone."""
+        self.stuck_events += 1
+        assert self.plan is not None
+        self._explorer.refuse(now_s, self.plan.goal)
+        speed = float(np.linalg.norm(command.linear))
+        if self._settings.kind == "ground" and speed > 0.05:
+            ahead = pose.position + command.linear / speed * (self._settings.size_m[0] / 2 + 0.15)
+            heights = np.arange(0.5, self._settings.size_m[2], 0.2)
+            obstacle = ahead + np.stack([np.zeros_like(heights), np.zeros_like(heights), heights], axis=1)
+            self._explorer.map.assume_occupied(obstacle)
+        self.drop(now_s)

@@ -1,0 +1,154 @@
+"""What a robot does for the team besides exploring. A role answers questions of the core and handles messages."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+
+from onboard.core.config import Config
+from onboard.core.geometry import Pose
+from onboard.core.lidar import Scan
+from onboard.mission import AT_REGROUP, Facts, Phase
+from onboard.planning.explorer import Explorer
+from onboard.planning.plan import Plan
+from onboard.planning.local_graph import FloatArray
+from onboard.robot.interface import Log, Profile
+from onboard.robot.sensing import Sensing
+from onboard.sharing import LinkCore
+from onboard.sharing.messages import Message, Vector
+
+
+PEER_MARGIN_M = 0.3
+
+
+class Team:
+    """What the roles share: configuration, planner, link and bookkeeping of one robot."""
+
+    def __init__(
+        self,
+        config: Config,
+        name: str,
+        explorer: Explorer,
+        sensing: Sensing,
+        link: LinkCore,
+        log: Log,
+        profile: Profile,
+    ) -> None:
+        self.config = config
+        self.settings = config.robot(name)
+        self.explorer = explorer
+        self.sensing = sensing
+        self.link = link
+        self.log = log
+        self.profile = profile
+        self.peers = [robot for robot in config.robots if robot.name != name]
+        self.keyframe_positions: list[FloatArray] = []
+        """LiDAR positions (3,) of the own keyframes by sequence."""
+        self.keyframe_bytes = 0
+        self._trail: list[FloatArray] = []
+
+    @property
+    def peer_ids(self) -> list[int]:
+        return [peer.id for peer in self.peers]
+
+    def remaining(self, now_s: float) -> float:
+        """Seconds until the mission ends."""
+        return self.config.mission.duration_s - now_s
+
+    def peer_phase(self, peer: int) -> Phase | None:
+        """Phase in the newest beacon of a peer."""
+        status = self.link.peer_status(peer)
+        return None if status is None else Phase(status.phase)
+
+    def peers_arrived(self, now_s: float) -> bool:
+        """Whether all peers are in contact and say that they are at the regrouping point."""
+        return all(self.link.in_contact(p, now_s) and self.peer_phase(p) in AT_REGROUP for p in self.peer_ids)
+
+    def all_shared(self) -> bool:
+        """Whether all peers have acknowledged all keyframes that they should get."""
+        return all(self.link.unshared(peer) == 0 for peer in self.peer_ids)
+
+    def all_received(self) -> bool:
+        """Whether every keyframe that the peers say they made has arrived here."""
+        for peer in self.peer_ids:
+            status = self.link.peer_status(peer)
+            if status is None or self.link.store.next_sequence(peer) < status.keyframes:
+                return False
+            if any((peer, sequence) not in self.link.store for sequence in range(status.keyframes)):
+                return False
+        return True
+
+    def remember_trail(self, places: list[FloatArray]) -> None:
+        """Peers' keyframe positions (3,) are ways that an aerial robot can take too: join them to its global graph."""
+        self._trail += places
+        graph = self.explorer.graph
+        if self.settings.kind != "aerial" or graph is None or len(self._trail) < 2:
+            return
+        graph.add_chain(np.stack(self._trail), self.explorer.passable)
+        self._trail = self._trail[-1:]
+
+    def without_peers(self, scan: Scan, pose: Pose, now_s: float) -> Scan:
+        """The scan without the pixels that show a peer's body, whose place its beacon tells."""
+        sensor = self.sensing.sensor_pose(pose)
+        ranges = scan.ranges
+        for peer in self.peers:
+            status = self.link.peer_status(peer.id)
+            if status is None or now_s - status.stamp_s > self.config.mission.contact_timeout_s:
+                continue
+            centre = np.array(status.position_m)
+            if peer.kind == "ground":
+                centre[2] += peer.size_m[2] / 2
+            radius = max(peer.size_m) / 2 + PEER_MARGIN_M + (now_s - status.stamp_s) * peer.speed_m_s
+            near = sensor.rotation.T @ (centre - sensor.position)
+            ranges = np.where(inside_sphere(scan, near, radius), np.float32(0.0), ranges)
+        return Scan(scan.stamp_s, ranges, scan.model)
+
+
+class Role(Protocol):
+    """The part of a mission that differs between robots."""
+
+    first_phase: Phase
+    release: bool
+
+    def regroup_point(self) -> FloatArray | None:
+        """LiDAR position (3,) of the agreed regrouping point, None where there is none yet."""
+        ...
+
+    def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
+        """What the role knows for the state machine."""
+        ...
+
+    def entered(self, now_s: float, phase: Phase, pose: Pose) -> None:
+        """The robot has just changed to this phase."""
+        ...
+
+    def handle(self, now_s: float, source: int, message: Message, pose: Pose) -> None:
+        """A small message of a peer."""
+        ...
+
+    def tick(self, now_s: float, phase: Phase, pose: Pose) -> None:
+        """Periodic talk with the team."""
+        ...
+
+    def plan(self, now_s: float, phase: Phase, pose: Pose) -> Plan | None:
+        """A plan that the role insists on in this phase, None to let the robot explore or return."""
+        ...
+
+    def planned(self, now_s: float, phase: Phase, pose: Pose, plan: Plan) -> None:
+        """A planning cycle of exploration has ended with this plan."""
+        ...
+
+
+def inside_sphere(scan: Scan, centre: FloatArray, radius_m: float) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+    """Pixels (H, W) whose return lies within `radius_m` of a point (3,) of the sensor frame."""
+    along = scan.model.directions @ centre.astype(np.float32)
+    ranges = np.where(np.isfinite(scan.ranges), scan.ranges, np.float32(0.0))
+    squared = ranges * (ranges - 2 * along) + np.float32(centre @ centre)
+    return (ranges > 0) & (squared < radius_m**2)
+
+
+def vector(point: FloatArray) -> Vector:
+    """A point (3,) as plain numbers."""
+    x, y, z = (float(c) for c in np.asarray(point))
+    return (x, y, z)

@@ -1,0 +1,64 @@
+"""From scans to the map and to keyframes, and from received keyframes to the map."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onboard.codec import decode, encode
+from onboard.core.config import RobotSettings
+from onboard.core.errors import WireError
+from onboard.core.geometry import Pose, rotation_angle
+from onboard.core.lidar import Scan
+from onboard.mapping.voxel_map import PEER, VoxelMap
+from onboard.planning.local_graph import FloatArray
+
+CLEARING_M = 1.25
+"""Rays without return are drawn this much longer than the map's range, so that they clear and never occupy."""
+
+
+class Sensing:
+    """Feeds one voxel map from the robot's own LiDAR and from its peers' keyframes."""
+
+    def __init__(self, settings: RobotSettings, voxel_map: VoxelMap) -> None:
+        self._settings = settings
+        self._map = voxel_map
+        self._mount = Pose.from_rpy(np.array(settings.lidar.mount_m))
+        self._last_keyframe: Pose | None = None
+        self.frames_bad = 0
+
+    def sensor_pose(self, body: Pose) -> Pose:
+        """Pose of the LiDAR when the body's reference point is at `body`."""
+        return body.compose(self._mount)
+
+    def integrate(self, scan: Scan, body: Pose) -> None:
+        """Add an own scan to the map."""
+        points = scan.rays(self._map.max_range_m * CLEARING_M)
+        self._map.integrate(points, self.sensor_pose(body).matrix(), min_range_m=scan.model.min_range_m)
+
+    def keyframe_due(self, body: Pose) -> bool:
+        """Whether the LiDAR has moved by tau_t or turned by tau_r since the last keyframe."""
+        if self._last_keyframe is None:
+            return True
+        pose = self.sensor_pose(body)
+        moved = float(np.linalg.norm(pose.position - self._last_keyframe.position))
+        turned = rotation_angle(pose.quaternion, self._last_keyframe.quaternion)
+        return moved > self._settings.keyframes.translation_m or turned > self._settings.keyframes.rotation_rad
+
+    def make_keyframe(self, scan: Scan, body: Pose) -> tuple[bytes, FloatArray]:
+        """Encode a scan; its bytes and the LiDAR position (3,) that they carry."""
+        self._last_keyframe = self.sensor_pose(body)
+        step = self._settings.keyframes.range_step_m
+        return encode(scan, self._last_keyframe, range_step_m=step), self._last_keyframe.position
+
+    def receive(self, payload: bytes) -> FloatArray | None:
+        """Decode a peer's keyframe into the map; its LiDAR position (3,), None if the bytes are bad."""
+        try:
+            keyframe = decode(payload)
+        except WireError:
+            self.frames_bad += 1
+            return None
+        points = keyframe.scan_rays(self._map.max_range_m * CLEARING_M)
+        self._map.integrate(
+            points, keyframe.pose.matrix(), min_range_m=keyframe.model.min_range_m, source=PEER
+        )
+        return keyframe.pose.position

@@ -1,0 +1,100 @@
+"""What robots say to each other: one frozen struct per frame kind (bytes: docs/wire.md)."""
+
+from __future__ import annotations
+
+import msgspec
+
+Vector = tuple[float, float, float]
+"""Position in the map frame, metres; 1 cm on the air."""
+
+MAX_PAYLOAD_BYTES = 60_000
+MAX_ALTERNATIVES = 3
+MAX_TIMES = 3000
+MAX_SOURCES = 255
+MAX_RANGES = 32
+
+
+class KeyframeMessage(msgspec.Struct, frozen=True):
+    """One keyframe of robot `source`; `payload` is what onboard.codec wrote."""
+
+    source: int
+    sequence: int
+    stamp_s: float
+    payload: bytes
+
+
+class SourceRanges(msgspec.Struct, frozen=True):
+    """Sequences of one source that a robot holds: ascending (first, count), gaps between them."""
+
+    source: int
+    ranges: tuple[tuple[int, int], ...]
+
+
+class Digest(msgspec.Struct, frozen=True):
+    """Everything that the sender holds at its time `stamp_s`: acknowledgement and request in one."""
+
+    stamp_s: float
+    sources: tuple[SourceRanges, ...]
+
+
+class Status(msgspec.Struct, frozen=True):
+    """The beacon: where a robot is, what it does and what it has left. `battery_ratio` lies in [0, 1]."""
+
+    stamp_s: float
+    phase: int
+    position_m: Vector
+    battery_ratio: float
+    goal_m: Vector | None
+    remaining_s: float
+    keyframes: int
+
+
+class Target(msgspec.Struct, frozen=True):
+    """Where the aerial robot should go when deployed, and up to three alternatives."""
+
+    position_m: Vector
+    alternatives_m: tuple[Vector, ...] = ()
+
+
+class TravelTime(msgspec.Struct, frozen=True):
+    """Time in which the sender can be at its keyframe `sequence` (0.1 s on the air, at most 6553.5 s)."""
+
+    sequence: int
+    position_m: Vector
+    time_s: float
+
+
+class Times(msgspec.Struct, frozen=True):
+    """Travel times to keyframes of the sender, from which the regrouping point is chosen."""
+
+    times: tuple[TravelTime, ...]
+
+
+class Propose(msgspec.Struct, frozen=True):
+    """Proposal `epoch` to regroup at `position_m` by `deadline_s`."""
+
+    epoch: int
+    position_m: Vector
+    deadline_s: float
+
+
+class Ack(msgspec.Struct, frozen=True):
+    """The sender agrees to proposal `epoch`."""
+
+    epoch: int
+
+
+class Commit(msgspec.Struct, frozen=True):
+    """Proposal `epoch` holds from now on."""
+
+    epoch: int
+    position_m: Vector
+
+
+class Release(msgspec.Struct, frozen=True):
+    """The carrier lets the aerial robot go at `position_m`; its next status phase confirms."""
+
+    position_m: Vector
+
+
+Message = KeyframeMessage | Digest | Status | Target | Times | Propose | Ack | Commit | Release

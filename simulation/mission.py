@@ -1,0 +1,128 @@
+"""The lock-step mission: robots, radio and scoring advance together, one tick after the other, by seed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from onboard.core.config import Config, RobotSettings
+from onboard.core.errors import ConfigError
+from onboard.core.geometry import Pose
+from onboard.mapping.voxel_map import VoxelMap
+from simulation.aerial_robot import AerialRobot
+from simulation.agent import Agent, bracket_pose
+from simulation.bodies import ContactCounter
+from simulation.radio import Radio
+from simulation.scene import Scene
+from simulation.worlds import World
+
+TICK_S = 0.1
+CLEARING_M = 25.0
+SEPARATION_S = 5.0
+"""After a release, contact between the two robots counts as a collision from this time on."""
+
+EventSink = Callable[..., None]
+
+
+class Mission:
+    """All state of one simulated mission. `events` is called as events(time_s, kind, **fields)."""
+
+    def __init__(self, config: Config, world: World, scene: Scene, seed: int, events: EventSink) -> None:
+        self.config = config
+        self.world = world
+        self.now_s = 0.0
+        self.ticks = 0
+        self._events = events
+        self._start = Pose.from_rpy(world.start, yaw_rad=world.start_yaw_rad)
+        self.agents = [self._make(settings, scene, seed) for settings in config.robots]
+        self.by_id = {agent.settings.id: agent for agent in self.agents}
+        self.carriers = [agent for agent in self.agents if agent.settings.kind == "ground"]
+        self.radio = Radio(config.radio, scene, np.random.default_rng([seed, 99]))
+        # what a perfect sensor would have built along the same paths: only the final score reads it
+        self.reference = VoxelMap(config.map.voxel_m, config.map.max_range_m)
+        self._contacts = ContactCounter()
+        self._released_s: dict[int, float] = {}
+        self.meetings = 0
+        self.deployment: dict[str, Any] | None = None
+        self.seed = seed
+
+    def _make(self, settings: RobotSettings, scene: Scene, seed: int) -> Agent:
+        def log(kind: str, **fields: Any) -> None:
+            self._events(round(self.now_s, 3), kind, robot=settings.name, **fields)
+
+        start = self._start
+        if settings.kind == "aerial":
+            start = bracket_pose(start, self._carrier_settings().size_m[2])
+        return Agent(self.config, settings, scene, seed, start, log)
+
+    def _carrier_settings(self) -> RobotSettings:
+        for settings in self.config.robots:
+            if settings.kind == "ground":
+                return settings
+        raise ConfigError("robots: an aerial robot needs a ground robot that carries it")
+
+    def done(self) -> bool:
+        """Whether every robot has finished or the time is over."""
+        over = self.now_s >= self.config.mission.duration_s - 1e-9
+        return over or all(agent.finished() for agent in self.agents)
+
+    def tick(self) -> None:
+        """Advance by TICK_S."""
+        positions = {agent.settings.id: agent.pose.position for agent in self.agents}
+        for _, target, frame in self.radio.deliver(self.now_s, positions):
+            self.by_id[target].inbox.append(frame)
+        for agent in self.agents:
+            self._tick_agent(agent)
+        self._carry()
+        self._count_meetings()
+        self.ticks += 1
+        self.now_s = self.ticks * TICK_S
+
+    def _tick_agent(self, agent: Agent) -> None:
+        others = [other.box() for other in self.agents if other is not agent]
+        scans = agent.scan(self.now_s, others)
+        if scans is not None:
+            sensor = agent.core.sensing.sensor_pose(agent.pose).matrix()
+            perfect = scans[1]
+            self.reference.integrate(perfect.rays(CLEARING_M), sensor, min_range_m=perfect.model.min_range_m)
+        outputs = agent.think(self.now_s, None if scans is None else scans[0])
+        for target, frame in outputs.frames:
+            self.radio.send(self.now_s, agent.settings.id, target, frame)
+        if outputs.release:
+            self._open_bracket()
+        agent.move(self.now_s, TICK_S, outputs)
+
+    def _open_bracket(self) -> None:
+        """The bracket lets go of the next carried robot."""
+        for agent in self.agents:
+            if isinstance(agent.body, AerialRobot) and agent.body.attached:
+                agent.body.release()
+                self._released_s[agent.settings.id] = self.now_s
+                return
+
+    def _carry(self) -> None:
+        carrier = self.carriers[0]
+        for agent in self.agents:
+            if isinstance(agent.body, AerialRobot) and agent.body.attached:
+                agent.body.carry(bracket_pose(carrier.pose, carrier.settings.size_m[2]))
+
+    def _count_meetings(self) -> None:
+        """Contact between a flying robot and a ground robot's body."""
+        for flyer in self.agents:
+            if flyer.carried or flyer.settings.kind != "aerial":
+                continue
+            if self.now_s - self._released_s[flyer.settings.id] < SEPARATION_S:
+                continue
+            for carrier in self.carriers:
+                pose, size = carrier.box()
+                local = np.abs(pose.rotation.T @ (flyer.pose.position - pose.position)) - np.array(size) / 2
+                gap = float(np.linalg.norm(np.maximum(local, 0.0))) - max(flyer.settings.size_m) / 2
+                if gap < 0:
+                    self._contacts.touch(self.now_s, flyer.pose.position)
+        self.meetings = self._contacts.events
+
+    def phase(self) -> str:
+        """Phases of all robots in words."""
+        return "/".join(agent.core.phase.name.lower() for agent in self.agents)

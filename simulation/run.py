@@ -1,0 +1,162 @@
+"""`simulate`: one mission in one process, many times faster than real time, into a run directory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from ground_station.export import EventLog, write_json, write_ply
+from ground_station.palette import observer_colours
+from ground_station.record import Marker, RunRecord
+from ground_station.report import write_report
+from onboard.core.config import Config
+from onboard.core.errors import ConfigError
+from onboard.core.geometry import Pose
+from onboard.mapping.voxel_map import OWN
+from onboard.robot.roles import vector
+from simulation.agent import bracket_pose
+from simulation.mission import Mission
+from simulation.scene import Scene
+from simulation.scoring import is_complete, merged_map, metrics, volume_m3
+from simulation.truth import Truth
+from simulation.worlds import World
+
+REPORT_PERIOD_S = 5.0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """State of a running simulation for a progress display."""
+
+    time_s: float
+    duration_s: float
+    phase: str
+    explored_m3: dict[str, float]
+    union_m3: float
+    message: str = ""
+
+
+def simulate(
+    config: Config,
+    world: World,
+    seed: int,
+    out: Path,
+    team: str = "both",
+    progress: Callable[[Progress], None] | None = None,
+) -> dict[str, Any]:
+    """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`.
+
+    `team` is "both" or "ground". Returns the metrics. After ctrl-C the directory holds what there is and
+    KeyboardInterrupt goes on. Raises InputError for a start where a robot does not fit.
+    """
+    started = time.perf_counter()
+    config = select_team(config, team)
+    scene = Scene(world.vertices, world.triangles)
+    truth = reachable(config, world)
+    with EventLog(out / "events.jsonl") as events:
+        run = Run(config, world, scene, seed, events)
+        try:
+            run.loop(progress)
+        finally:
+            result = metrics(run.mission, truth, time.perf_counter() - started)
+            events.write(run.mission.now_s, "end", complete=result["complete"])
+            run.write(out, result, progress)
+    return result
+
+
+def select_team(config: Config, team: str) -> Config:
+    """The configuration with only the robots that take part."""
+    if team == "both":
+        return config
+    robots = tuple(robot for robot in config.robots if robot.kind == team)
+    if not robots:
+        raise ConfigError(f"no {team} robot in the configuration")
+    return config.model_copy(update={"robots": robots})
+
+
+def reachable(config: Config, world: World) -> Truth:
+    """The free volume that a flying robot of the paper's size reaches from the start."""
+    ground = next(robot for robot in config.robots if robot.kind == "ground")
+    aerial = next((robot for robot in config.robots if robot.kind == "aerial"), None)
+    half = (0.19, 0.19, 0.12) if aerial is None else tuple(size / 2 for size in aerial.size_m)
+    from_pose = bracket_pose(Pose.from_rpy(world.start), ground.size_m[2])
+    return Truth(world.vertices, world.triangles, config.map.voxel_m, from_pose.position, (half[0], half[1], half[2]))
+
+
+class Run:
+    """A mission with the record that is kept of it."""
+
+    def __init__(self, config: Config, world: World, scene: Scene, seed: int, events: EventLog) -> None:
+        self.mission = Mission(config, world, scene, seed, self._event)
+        self._events = events
+        self._timeline: dict[str, list[float]] = {}
+        self._markers = [Marker("start", "start", vector(world.start), 0.0)]
+
+    def _event(self, time_s: float, kind: str, **fields: Any) -> None:
+        self._events.write(time_s, kind, **fields)
+        if kind == "deploy":
+            self.mission.deployment = self.mission.deployment or {"time_s": time_s, "target": fields["target"]}
+            self._markers.append(Marker("deploy", "deploy", fields["position"], time_s))
+            self._markers.append(Marker("target", "target", fields["target"], time_s))
+        if kind == "regroup" and fields["robot"] == self.mission.carriers[0].name:
+            self._markers.append(Marker("regroup", "regroup", fields["position"], time_s))
+
+    def loop(self, progress: Callable[[Progress], None] | None) -> None:
+        """Tick until everybody is done or the time is over."""
+        next_report_s = 0.0
+        while not self.mission.done():
+            if self.mission.now_s >= next_report_s:
+                next_report_s += REPORT_PERIOD_S
+                self._report(progress)
+            self.mission.tick()
+        self._report(progress)
+
+    def _report(self, progress: Callable[[Progress], None] | None) -> None:
+        mission = self.mission
+        explored = {agent.name: volume_m3(mission, [agent]) for agent in mission.agents}
+        union = volume_m3(mission, mission.agents)
+        row = {"time_s": mission.now_s, "explored_m3/union": union}
+        row |= {f"explored_m3/{name}": volume for name, volume in explored.items()}
+        for kind in mission.agents[0].core.link.bytes_sent:
+            row[f"bytes/{kind}"] = float(sum(agent.core.link.bytes_sent[kind] for agent in mission.agents))
+        for key, value in row.items():
+            self._timeline.setdefault(key, []).append(value)
+        if progress is not None:
+            duration_s = mission.config.mission.duration_s
+            progress(Progress(mission.now_s, duration_s, mission.phase(), explored, union))
+
+    def write(self, out: Path, result: dict[str, Any], progress: Callable[[Progress], None] | None) -> None:
+        """Write the run directory."""
+        self._report(progress)
+        record = self.record(result)
+        write_json(out / "metrics.json", result)
+        write_json(out / "config.json", record.parameters)
+        write_ply(out / "map.ply", record.occupied, observer_colours(record.seen_by, len(record.robots)))
+        write_report(out, record)
+
+    def record(self, result: dict[str, Any]) -> RunRecord:
+        """The run as the report wants it."""
+        mission = self.mission
+        merged = merged_map(mission)
+        voxels = merged.occupied_indices()
+        seen = np.zeros(len(voxels), np.uint8)
+        for bit, agent in enumerate(mission.agents):
+            own = (agent.core.explorer.map.seen_by(voxels) >> OWN) & 1
+            seen |= (own << bit).astype(np.uint8)
+        return RunRecord(
+            title=f"{mission.world.name}, seed {mission.seed}",
+            metrics=result,
+            parameters=mission.config.model_dump(mode="json"),
+            timeline=self._timeline,
+            paths={agent.name: np.array(agent.path).reshape(-1, 4) for agent in mission.agents},
+            occupied=((voxels + 0.5) * merged.voxel_m).astype(np.float32),
+            seen_by=seen,
+            robots=[agent.name for agent in mission.agents],
+            markers=self._markers,
+            complete=is_complete(mission),
+        )
