@@ -20,8 +20,8 @@ KINDS = (".pcap", ".rawlog", ".osf", *SUFFIXES)
 def open_recording(path: Path, sensor: str | None = None) -> Recording:
     """Open `path`; `sensor` is the nominal LiDAR's name, needed only where the files do not tell.
 
-    Raises InputError, one line, for a missing path, an empty file, an unknown kind, missing metadata, a sensor that
-    contradicts the recording, and a recording without a single usable scan.
+    Raises InputError, one line, for a missing path, an empty file, an unknown kind, missing metadata, a
+    sensor that contradicts the recording, and a recording without a single usable scan.
     """
     if not path.exists():
         raise InputError(f"{path}: no such file or folder")

@@ -37,6 +37,8 @@ class OdometrySettings:
     min_points: int = 60
     min_inlier_ratio: float = 0.45
     max_speed_m_s: float = 15.0
+    max_correction_m: float = 3.0
+    """Farther than this from where the search started a match is a look-alike."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,7 +152,7 @@ class Odometry:
         for start, search_m in starts:
             transform, ratio, error = self._aligned(source, start.matrix(), search_m)
             pose = Pose.from_matrix(transform)
-            if ratio >= self._settings.min_inlier_ratio and self._possible(pose, stamp_s):
+            if ratio >= self._settings.min_inlier_ratio and self._possible(pose, start, stamp_s):
                 return pose, ratio, error
         return None, ratio, error
 
@@ -179,10 +181,12 @@ class Odometry:
         turn = Rotation.from_rotvec(self._angular_rad_s * elapsed_s)
         return self._pose.compose(Pose(self._linear_m_s * elapsed_s, turn.as_quat()))
 
-    def _possible(self, pose: Pose, stamp_s: float) -> bool:
+    def _possible(self, pose: Pose, start: Pose, stamp_s: float) -> bool:
         elapsed_s = max(stamp_s - (self._stamp_s or 0.0), 0.1)
-        moved_m = float(np.linalg.norm(pose.position - self._pose.position))
-        return moved_m <= self._settings.max_speed_m_s * elapsed_s
+        moved_m = np.linalg.norm(pose.position - self._pose.position)
+        corrected_m = np.linalg.norm(pose.position - start.position)
+        limits = self._settings
+        return bool(moved_m <= limits.max_speed_m_s * elapsed_s and corrected_m <= limits.max_correction_m)
 
     def _advance(self, pose: Pose, stamp_s: float) -> None:
         elapsed_s = stamp_s - (self._stamp_s or 0.0)

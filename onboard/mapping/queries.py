@@ -29,12 +29,12 @@ Statuses = NDArray[np.uint8]
 
 
 @njit(cache=True, nogil=True)
-def point_statuses(tables: PlanningTables, points: Points, per_metre: float, out: Statuses) -> None:
+def point_statuses(tables: PlanningTables, points: Points, voxel_m: float, out: Statuses) -> None:
     """Status of the voxel that holds each point."""
     for i in range(points.shape[0]):
-        x = np.int64(np.floor(points[i, 0] * per_metre))
-        y = np.int64(np.floor(points[i, 1] * per_metre))
-        z = np.int64(np.floor(points[i, 2] * per_metre))
+        x = int(np.floor(points[i, 0] / voxel_m))
+        y = int(np.floor(points[i, 1] / voxel_m))
+        z = int(np.floor(points[i, 2] / voxel_m))
         out[i] = voxel_status(tables, x, y, z)
 
 

@@ -65,7 +65,8 @@ def _spread(index: int, axis: int) -> int:
 @njit(cache=True, nogil=True)
 def find_ends(
     points: Floats,
-    pose: NDArray[np.float64],
+    rotation: Floats,
+    origin: NDArray[np.float64],
     voxel_m: float,
     min_range_m: float,
     max_range_m: float,
@@ -76,16 +77,15 @@ def find_ends(
 ) -> int:
     """One ray per end voxel. `ends`: in voxels from the sensor's voxel; `beyond`: 1 = cut short, clears only.
 
+    `rotation` turns points into the map's axes, `origin` is the sensor's position in voxels.
     Points that are not finite or nearer than min_range_m are dropped.
     """
-    rotation = pose[:3, :3].astype(np.float32)
-    per_metre = 1.0 / voxel_m
-    base = np.floor(pose[:3, 3] * per_metre)
+    base = np.floor(origin)
     base_x, base_y, base_z = np.int64(base[0]), np.int64(base[1]), np.int64(base[2])
     # one window is added so that coordinates are positive: truncation is then floor, and it wraps to nothing
-    shift = (pose[:3, 3] * per_metre - base + _WINDOW).astype(np.float32)
+    shift = (origin - base + _WINDOW).astype(np.float32)
     window = np.float32(_WINDOW)
-    scale = np.float32(per_metre)
+    scale = np.float32(1 / voxel_m)
     nearest, farthest = np.float32(min_range_m * min_range_m), np.float32(max_range_m * max_range_m)
     count = 0
     for i in range(points.shape[0]):

@@ -64,8 +64,8 @@ class VoxelMap:
         """
         if self._scratch is None:
             self._scratch = scan.ScanScratch()
-        pose = np.ascontiguousarray(pose, np.float64)
-        touched = self._mark(self._scratch, np.ascontiguousarray(points, np.float32), pose, min_range_m)
+        points = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
+        touched = self._mark(self._scratch, points, np.asarray(pose, np.float64), min_range_m)
         self._apply(self._scratch, touched, source)
         self.version += 1
 
@@ -81,9 +81,9 @@ class VoxelMap:
             scratch.reserve(2 * len(points))
         ends, cells, beyond = scratch.ends, scratch.end_cells, scratch.beyond
         marks, touched, seen = scratch.marks, scratch.touched, scratch.seen_ends
-        reach = self.max_range_m
-        count = scan.find_ends(points, pose, self.voxel_m, min_range_m, reach, seen, ends, cells, beyond)
-        origin = pose[:3, 3] / self.voxel_m
+        rotation, origin = pose[:3, :3].astype(np.float32), pose[:3, 3] / self.voxel_m
+        limits = self.voxel_m, min_range_m, self.max_range_m
+        count = scan.find_ends(points, rotation, origin, *limits, seen, ends, cells, beyond)
         scan.mark_rays(ends, count, origin, marks, touched)
         scan.mark_hits(cells, beyond, count, marks, touched, seen)
         return int(scan.collect_touched(touched, origin, scratch.window_blocks, scratch.block_keys))
@@ -148,7 +148,7 @@ class VoxelMap:
         """Planning status (N,) of the voxels that hold these points (N, 3), metres."""
         points = _rows_of_three(points)
         out = np.empty(len(points), np.uint8)
-        queries.point_statuses(self.planning_tables(), points, 1 / self.voxel_m, out)
+        queries.point_statuses(self.planning_tables(), points, self.voxel_m, out)
         return out
 
     def box_status(self, centres: ArrayLike, half_extent_m: ArrayLike) -> Statuses:

@@ -69,13 +69,13 @@ class DistanceWindow:
         """
         points = np.ascontiguousarray(points, np.float64).reshape(-1, 3)
         out = np.empty(len(points), np.float32)
-        _look_up(self._squared, self._metres, self.lower_index, points, 1 / self.voxel_m, out)
+        _look_up(self._squared, self._metres, self.lower_index, points, self.voxel_m, out)
         return out
 
 
 @njit(cache=True, nogil=True)
 def _bytes_of_bits(bits: int) -> int:
-    """Eight bits as eight bytes 0 or 1: copied to each byte, one left there, carried to its top, moved down."""
+    """Eight bits as eight bytes 0 or 1: copied to each byte, one kept there, carried up, moved down."""
     one_each: int = copy_to_bytes(bits) & _DIAGONAL
     return ((one_each + 0x7F7F7F7F7F7F7F7F) >> 7) & 0x0101010101010101
 
@@ -157,12 +157,12 @@ def _look_up(
     metres: NDArray[np.float32],
     lower_index: Words,
     points: NDArray[np.float64],
-    per_metre: float,
+    voxel_m: float,
     out: NDArray[np.float32],
 ) -> None:
     for i in range(points.shape[0]):
-        x = np.int64(np.floor(points[i, 0] * per_metre)) - lower_index[0]
-        y = np.int64(np.floor(points[i, 1] * per_metre)) - lower_index[1]
-        z = np.int64(np.floor(points[i, 2] * per_metre)) - lower_index[2]
+        x = int(np.floor(points[i, 0] / voxel_m)) - lower_index[0]
+        y = int(np.floor(points[i, 1] / voxel_m)) - lower_index[1]
+        z = int(np.floor(points[i, 2] / voxel_m)) - lower_index[2]
         inside = 0 <= x < squared.shape[0] and 0 <= y < squared.shape[1] and 0 <= z < squared.shape[2]
         out[i] = metres[squared[x, y, z]] if inside else np.float32(0)

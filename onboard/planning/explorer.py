@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from onboard.core.config import MapSettings, RobotSettings
 from onboard.mapping.voxel_map import FREE, VoxelMap
@@ -18,6 +19,7 @@ NEW_FRONTIERS = 6
 PEER_SHARE = 0.7
 PEER_RADIUS_M = 8.0
 TRIM_M = 1.0
+SEEN_M, FRESH_M = 0.8, 3.0
 RETURN_RADIUS_M = 3.0
 
 
@@ -38,16 +40,20 @@ class Explorer:
         self._rng = np.random.default_rng([seed, settings.id])
         self._heading_rad = 0.0
         self._heading_from: FloatArray | None = None
+        self._trail: list[FloatArray] = []
 
     def begin(self, point: FloatArray, heading_rad: float) -> None:
         """Start the global graph at the robot's reference point (3,)."""
         self.graph = GlobalGraph(point)
         self._heading_rad, self._heading_from = heading_rad, point
+        self._trail = [point]
 
     def observe(self, point: FloatArray) -> None:
         """The robot is at this reference point (3,): extend the trail and the exploring direction."""
         assert self.graph is not None and self._heading_from is not None
         self.graph.visit(point, self._visible)
+        if np.linalg.norm(point - self._trail[-1]) > SEEN_M:
+            self._trail.append(point)
         moved = point[:2] - self._heading_from[:2]
         if np.hypot(*moved) >= 0.75:
             turn = (np.arctan2(moved[1], moved[0]) - self._heading_rad + np.pi) % (2 * np.pi) - np.pi
@@ -68,7 +74,7 @@ class Explorer:
         gains = self.body.gains(self.map, self.local.points[views])
         self._refresh_frontiers(point)
         self._add_frontiers(views, gains)
-        wanted = gains * self._discount(self.local.points[views])
+        wanted = gains * self._discount(self.local.points[views]) * self._unvisited(self.local.points[views])
         wanted[~self._refusals.allowed(now_s, self.local.points[views])] = 0.0
         speed = self.settings.speed_m_s
         choices = rank(self.local, views, wanted, self._heading_rad, speed, self.settings.planner)
@@ -97,7 +103,8 @@ class Explorer:
             return None
         nodes = np.array(sorted(graph.frontiers))
         places = graph.points[nodes]
-        gains = np.array([graph.frontiers[int(node)] for node in nodes]) * self._discount(places)
+        gains = np.array([graph.frontiers[int(node)] for node in nodes])
+        gains *= self._discount(places) * self._unvisited(places)
         gains[~self._refusals.allowed(now_s, places)] = 0.0
         times = self._distances_from(point)[nodes] / self.settings.speed_m_s
         rates = gains / (times + self.settings.planner.start_up_s)
@@ -213,7 +220,8 @@ class Explorer:
         rest = remaining_path(point, current.path)
         if polyline_length(rest) < TRIM_M or self.path_blocked(rest, self.settings.planner.horizon_m):
             return None
-        gain = float(self.body.gains(self.map, rest[-1:])[0] * self._discount(rest[-1:])[0])
+        end = rest[-1:]
+        gain = float((self.body.gains(self.map, end) * self._discount(end) * self._unvisited(end))[0])
         if gain < self.settings.planner.frontier_m3:
             return None
         choice = score_path(rest, gain, self._heading_rad, self.settings.speed_m_s, self.settings.planner)
@@ -230,6 +238,11 @@ class Explorer:
             squared = np.sum((points - goal) ** 2, axis=1)
             factor *= 1 - PEER_SHARE * np.exp(-squared / (2 * PEER_RADIUS_M**2))
         return factor
+
+    def _unvisited(self, points: FloatArray) -> FloatArray:
+        """Share of a gain (N,) that can be real: what a view promises where the LiDAR has already been is not there."""
+        distances, _ = cKDTree(np.stack(self._trail)).query(points)
+        return np.asarray(np.clip((distances - SEEN_M) / (FRESH_M - SEEN_M), 0.0, 1.0))
 
     def _refresh_frontiers(self, point: FloatArray, everywhere: bool = False) -> None:
         """Recompute the gain of the frontiers whose view may have changed; drop those that are seen."""

@@ -11,7 +11,7 @@ from onboard.core.geometry import Pose, wrap_angle
 from onboard.planning.plan import remaining_path
 from onboard.planning.local_graph import FloatArray, polyline_length
 
-ALIGN_RAD = 0.6
+ALIGN_RAD = 0.4
 REACHED_M = 0.25
 
 

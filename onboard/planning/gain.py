@@ -14,7 +14,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from onboard.core.errors import InputError
 from onboard.core.lidar import LidarModel
-from onboard.mapping.blocks import BLOCK_EDGE, NO_BLOCK, PlanningTables, block_key, block_of_key
+from onboard.mapping.blocks import (
+    BLOCK_EDGE,
+    NO_BLOCK,
+    PlanningTables,
+    block_key,
+    block_of_key,
+    dilate_block,
+)
 from onboard.mapping.queries import clipped_bits
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.ray_template import (
@@ -51,13 +58,19 @@ class GainModel:
         voxel_m: float,
         occlusion_rate_per_m: float = 0.15,
         step_rad: float = np.deg2rad(5.0),
+        close_gaps: bool = True,
     ) -> None:
         """occlusion_rate_per_m: expected obstacles per metre of unknown space.
+
+        close_gaps: an unknown voxel next to an occupied one ends a ray too. It is most likely the same
+        surface; without this, rays leak through the pinholes that every scanned surface has and promise
+        volume for ever.
 
         Raises InputError if range_m has too many voxels.
         """
         self.voxel_m = voxel_m
         self.fan = Fan.between(elevation_min_rad, elevation_max_rad, step_rad)
+        self._close_gaps = close_gaps
         reach = int(np.ceil(range_m / voxel_m)) + 1
         self._reach_blocks = (reach >> 3) + 1
         self._tile_blocks = TABLE_BLOCKS - 2 * self._reach_blocks
@@ -98,7 +111,10 @@ class GainModel:
         voxels = np.floor(scaled).astype(np.int64)
         volumes, counts = np.zeros(len(voxels)), np.zeros(len(voxels))
         for first, members in self._tiles(voxels >> 3):
-            table, masks = _gather_blocks(voxel_map.planning_tables(), first)
+            tables = voxel_map.planning_tables()
+            table, masks = _gather_blocks(tables, first)
+            if self._close_gaps:
+                masks = _close_surfaces(tables, table, masks, first)
             if bounds is not None:
                 masks = _close_bounds(table, masks, first, *voxel_map.index_bounds(*bounds))
             _evaluate(voxels, members, self._template, table, masks, volumes, counts)
@@ -150,6 +166,39 @@ def _gather_blocks(tables: PlanningTables, first: Words) -> tuple[NDArray[np.int
         x, y, z = block_of_key(tables.keys[found[i]])
         table[_table_place(x, y, z)] = _FIRST_ROW + i
     return table, masks
+
+
+@njit(cache=True, nogil=True)
+def _close_surfaces(tables: PlanningTables, table: NDArray[np.int32], masks: Words, first: Words) -> Words:
+    """Count unknown voxels next to occupied ones as occupied; returns the masks, with rows added."""
+    layers, grown = np.empty(10, np.int64), np.empty(BLOCK_EDGE, np.int64)
+    done = np.zeros(table.size, np.bool_)
+    rows = masks.shape[0]
+    masks = np.concatenate((masks, np.zeros((2 * rows + 27, 2 * BLOCK_EDGE), np.int64)))
+    for place in range(tables.keys.size):
+        if tables.keys[place] == NO_BLOCK or not tables.occupied[tables.slots[place]].any():
+            continue
+        centre_x, centre_y, centre_z = block_of_key(tables.keys[place])
+        for neighbour in range(27):
+            x, y = centre_x + neighbour % 3 - 1, centre_y + (neighbour // 3) % 3 - 1
+            z = centre_z + neighbour // 9 - 1
+            inside = min(x - first[0], y - first[1], z - first[2]) >= 0
+            if not inside or max(x - first[0], y - first[1], z - first[2]) >= TABLE_BLOCKS:
+                continue
+            cell = _table_place(x, y, z)
+            if done[cell]:
+                continue
+            done[cell] = True
+            dilate_block(tables.keys, tables.slots, tables.occupied, (x, y, z), layers, grown)
+            if table[cell] == _ALL_UNKNOWN and grown.any():
+                if rows == masks.shape[0]:
+                    masks = np.concatenate((masks, np.zeros((rows, 2 * BLOCK_EDGE), np.int64)))
+                table[cell] = rows
+                rows += 1
+            if table[cell] >= _FIRST_ROW:
+                for layer in range(BLOCK_EDGE):
+                    masks[table[cell], 2 * layer] |= grown[layer] & ~masks[table[cell], 2 * layer + 1]
+    return masks[:rows]
 
 
 @njit(cache=True, nogil=True)

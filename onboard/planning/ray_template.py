@@ -1,7 +1,7 @@
 """A fan of rays traversed once: voxel offsets that are the same from every voxel.
 
-A cell index holds, from the low bits, x y z within the 8^3 block (3 bits each), then block x y z in a wrapping
-table of 64 blocks per axis (6 bits each). Offsets add to it axis by axis.
+A cell index holds, from the low bits, x y z within the 8^3 block (3 bits each), then block x y z in a
+wrapping table of 64 blocks per axis (6 bits each). Offsets add to it axis by axis.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ class Template(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Fan:
-    """Rays of a sensor that turns all around: directions (N, 3) and their shares (N,) of solid angle in sr."""
+    """Rays of a sensor that turns all around: directions (N, 3) and the solid angle (N,) each covers, sr."""
 
     directions: Floats
     solid_angles: Floats

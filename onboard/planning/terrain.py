@@ -26,6 +26,9 @@ BODY_LOW, BODY_HIGH = 2, 4
 """Voxels above the floor voxel that the body sweeps: below them a leg steps over, above them nothing collides."""
 HARD_RADIUS2 = 4
 """Squared cells around the body's centre that must be free of obstacles (half the body's width plus a margin)."""
+TURN_RADIUS2 = 9
+"""Squared cells that must be free for the body to turn on the spot; tighter places cost `TIGHT_FACTOR`."""
+TIGHT_FACTOR = 8.0
 SOFT_CELLS = 4
 MAX_RISE = 1
 NO_FLOOR = -1
@@ -160,7 +163,9 @@ def _standable(window: I8, x: int, y: int, z: int) -> float:
                 return np.inf
     if nearest2 <= HARD_RADIUS2:
         return np.inf
-    return 1.0 + 3.0 * ((SOFT_CELLS + 1) ** 2 - nearest2) / ((SOFT_CELLS + 1) ** 2)
+    if nearest2 <= TURN_RADIUS2:
+        return TIGHT_FACTOR
+    return 1.0 + 2.0 * ((SOFT_CELLS + 1) ** 2 - nearest2) / ((SOFT_CELLS + 1) ** 2)
 
 
 @njit(cache=True, nogil=True)

@@ -169,7 +169,11 @@ class RobotCore:
             return HALT
         if self.motion.due(now_s, pose):
             self.motion.adopt(now_s, self._plan(now_s, pose))
-        return self.motion.step(now_s, pose)
+        stuck = self.motion.stuck_events
+        velocity = self.motion.step(now_s, pose)
+        if self.motion.stuck_events > stuck:
+            self._log("stuck", position=vector(pose.position))
+        return velocity
 
     def _plan(self, now_s: float, pose: Pose) -> Plan | None:
         insisted: Plan | None = self.role.plan(now_s, self.phase, pose)
@@ -180,7 +184,7 @@ class RobotCore:
         plan: Plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, self.motion.plan)
         self._idle = 0 if len(plan.path) else self._idle + 1
         self.role.planned(now_s, self.phase, pose, plan)
-        self._log("plan", choice=plan.kind, gain_m3=round(plan.gain_m3, 2), score=round(plan.score, 3))
+        self._log("plan", **described(plan))
         return plan
 
     def _plan_return(self, pose: Pose) -> Plan | None:
@@ -203,3 +207,15 @@ class RobotCore:
             remaining_s=max(0.0, self.team.remaining(inputs.now_s)),
             keyframes=len(self.team.keyframe_positions),
         )
+
+
+def described(plan: Plan) -> dict[str, object]:
+    """A plan as fields of an event."""
+    goal = [round(float(value), 2) for value in plan.goal] if len(plan.path) else None
+    return {
+        "choice": plan.kind,
+        "goal": goal,
+        "gain_m3": round(plan.gain_m3, 2),
+        "travel_s": round(plan.time_s, 1),
+        "score": round(plan.score, 3),
+    }

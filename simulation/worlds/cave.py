@@ -8,7 +8,7 @@ import numpy as np
 
 from simulation.worlds.graphs import network, scattered
 from simulation.worlds.rock import Field, Rock, smooth_noise
-from simulation.worlds.solids import Floats
+from simulation.worlds.solids import Floats, up
 from simulation.worlds.start import StartFinder
 from simulation.worlds.world import World
 
@@ -45,30 +45,33 @@ class _Carver:
         np.clip(self.walls, -0.9, 0.7, out=self.walls)
         self.floors = 0.03 * smooth_noise(self.rng, shape[:2], 1.8 / CELL_M)
 
-    def tube(
-        self, a: Floats, b: Floats, radii: tuple[float, float], floor: bool = True, squash: float = 1.0
-    ) -> None:
-        """Air within `radii` of the axis a-b (heights times `squash`), above the floor that a-b gives."""
-        reach = max(radii) * max(1.0, 1 / squash) + 1.5
+    def passage(self, points: Floats, radii: Floats, squash: float = 1.0) -> None:
+        """Air within `radii` (N,) of the axis over floor points (N, 3), heights times `squash`, above the floor.
+
+        The floor height is that of the nearest point of the line in plan, so that no ledge crosses the way.
+        """
+        reach = float(radii.max()) + 1.5
+        part = self.rock.box(points.min(axis=0) - reach, points.max(axis=0) + reach)
+        x, y, z = self.rock.points(part)
+        away, ground, radius = _nearest_in_plan(points, radii, x[:, :, 0], y[:, :, 0])
+        axis = ground + _LIFT * radius / squash
+        air = np.hypot(away[:, :, None], (z - axis[:, :, None]) * squash)
+        air += self.walls[part] - radius[:, :, None]
+        floor = (ground + self.floors[part[:2]])[:, :, None] - z
+        self.rock.carve(part, np.maximum(air, floor).astype(np.float32))
+
+    def shaft(self, a: Floats, b: Floats, radii: tuple[float, float]) -> None:
+        """Round air from `a` to `b`, with rough walls all around."""
+        reach = max(radii) + 1.5
         part = self.rock.box(np.minimum(a, b) - reach, np.maximum(a, b) + reach)
         x, y, z = self.rock.points(part)
-        lift = [_LIFT * r / squash if floor else 0.0 for r in radii]
-        start, run = a.astype(np.float32), (b - a).astype(np.float32)
-        t = (
-            (x - start[0]) * run[0]
-            + (y - start[1]) * run[1]
-            + (0.0 if floor else 1.0) * (z - start[2]) * run[2]
-        )
-        length = run[0] ** 2 + run[1] ** 2 + (0.0 if floor else 1.0) * run[2] ** 2
-        t = np.clip(t / max(float(length), 1e-6), 0.0, 1.0)
-        ground = start[2] + t * run[2]
-        axis = ground + lift[0] + t * (lift[1] - lift[0])
+        run = b - a
+        t = (x - a[0]) * run[0] + (y - a[1]) * run[1] + (z - a[2]) * run[2]
+        t = np.clip(t / float(run @ run), 0.0, 1.0)
         away = np.sqrt(
-            (x - start[0] - t * run[0]) ** 2 + (y - start[1] - t * run[1]) ** 2 + ((z - axis) * squash) ** 2
+            (x - a[0] - t * run[0]) ** 2 + (y - a[1] - t * run[1]) ** 2 + (z - a[2] - t * run[2]) ** 2
         )
-        air = away - (radii[0] + t * (radii[1] - radii[0])) + self.walls[part]
-        if floor:
-            air = np.maximum(air, ground + self.floors[part[:2]][:, :, None] - z)
+        air = away - radii[0] - t * (radii[1] - radii[0]) + self.walls[part]
         self.rock.carve(part, air.astype(np.float32))
 
     def gallery(self, a: Floats, b: Floats, flat: tuple[float, float]) -> None:
@@ -82,30 +85,45 @@ class _Carver:
         points = a + t[:, None] * (b - a)
         points[:, :2] += bend[:, None] * side
         points[:, 2] = a[2] + slope * (b[2] - a[2])
-        radii = self.rng.uniform(2.0, 2.9, count + 1)
-        for k in range(count):
-            self.tube(points[k], points[k + 1], (float(radii[k]), float(radii[k + 1])))
+        self.passage(points, self.rng.uniform(2.0, 2.9, count + 1))
 
     def chamber(self, node: Floats, radius: float) -> None:
         """A hall with a level floor and a few columns."""
-        self.tube(node, node + [0.01, 0, 0], (radius, radius), squash=1.9)
+        self.passage(
+            np.array([node, node + np.array([0.01, 0.0, 0.0])]), np.array([radius, radius]), squash=1.9
+        )
         for _ in range(int(radius / 2.5)):
             azimuth, away = self.rng.uniform(0, 2 * np.pi), radius * self.rng.uniform(0.55, 0.75)
-            self._column(node + [away * np.cos(azimuth), away * np.sin(azimuth), 0.0], radius)
+            self._column(node + away * np.array([np.cos(azimuth), np.sin(azimuth), 0.0]), radius)
 
     def _column(self, foot: Floats, height: float) -> None:
-        part = self.rock.box(foot - [2, 2, 1], foot + [2, 2, height])
+        part = self.rock.box(foot - 2.0, foot + np.array([2.0, 2.0, height]))
         x, y, _ = self.rock.points(part)
         thick = 0.7 + self.walls[part] - np.sqrt((x - foot[0]) ** 2 + (y - foot[1]) ** 2)
         np.maximum(self.rock.distance[part], thick, out=self.rock.distance[part])
 
     def carve(self, galleries: Galleries) -> None:
-        flat = np.maximum(galleries.chambers + 0.5, 3.0)
+        flat = _level_reach(galleries.chambers)
         for a, b in galleries.edges:
             self.gallery(galleries.nodes[a], galleries.nodes[b], (float(flat[a]), float(flat[b])))
         for node, radius in zip(galleries.nodes, galleries.chambers, strict=True):
             if radius:
                 self.chamber(node, float(radius))
+
+
+def _nearest_in_plan(points: Floats, radii: Floats, x: Field, y: Field) -> tuple[Field, Field, Field]:
+    """(X, Y) distance to a line in plan, and its floor height and radius at the nearest place."""
+    away = np.full(np.broadcast_shapes(x.shape, y.shape), np.inf, dtype=np.float32)
+    ground, radius = np.zeros_like(away), np.zeros_like(away)
+    for a, b, r, s in zip(points[:-1], points[1:], radii[:-1], radii[1:], strict=True):
+        run = b - a
+        t = np.clip(((x - a[0]) * run[0] + (y - a[1]) * run[1]) / float(run[:2] @ run[:2]), 0.0, 1.0)
+        distance = np.hypot(x - a[0] - t * run[0], y - a[1] - t * run[1])
+        nearer = distance < away
+        away = np.where(nearer, distance, away)
+        ground = np.where(nearer, a[2] + t * run[2], ground)
+        radius = np.where(nearer, r + t * (s - r), radius)
+    return away, ground, radius
 
 
 def generate_cave(seed: int, rng: np.random.Generator) -> World:
@@ -122,7 +140,7 @@ def generate_cave(seed: int, rng: np.random.Generator) -> World:
     for galleries in (middle, upper, lowest):
         carver.carve(galleries)
     for k, hall in enumerate(up):
-        _chimney(carver, middle.nodes[hall] + [0, 0, 2.0], upper.nodes[k])
+        _chimney(carver, middle.nodes[hall] + up(2.0), upper.nodes[k])
     for k, hall in enumerate(down):
         _window(carver, middle.nodes[hall], float(middle.chambers[hall]), lowest.nodes[k])
     mesh = rock.mesh()
@@ -147,7 +165,7 @@ def _storey(
     z = rng.uniform(*heights, count)
     radii = np.zeros(count)
     radii[rng.choice(count, chambers, replace=False)] = rng.uniform(5.0, 7.5, chambers)
-    flat = np.maximum(radii + 0.5, 3.0)
+    flat = _level_reach(radii)
     for _ in range(200):
         for a, b in edges:
             run = max(float(np.linalg.norm(plan[a] - plan[b]) - flat[a] - flat[b]), 0.0)
@@ -155,6 +173,11 @@ def _storey(
             z[a] += excess / 2
             z[b] -= excess / 2
     return Galleries(np.column_stack([plan, z]), radii, edges)
+
+
+def _level_reach(chambers: Floats) -> Floats:
+    """How far around each node floors stay level, so that the tunnels that meet there fit."""
+    return np.maximum(chambers + 1.0, 3.6)
 
 
 def _beside(galleries: Galleries, hall: int) -> Floats:
@@ -174,13 +197,13 @@ def _beside(galleries: Galleries, hall: int) -> Floats:
 def _chimney(carver: _Carver, foot: Floats, head: Floats) -> None:
     """A steep shaft from a hall's air up through the floor of the gallery above."""
     radius = carver.rng.uniform(1.7, 2.3, 2)
-    carver.tube(foot, head + [0, 0, 1.0], (float(radius[0]), float(radius[1])), floor=False)
+    carver.shaft(foot, head + up(1.0), (float(radius[0]), float(radius[1])))
 
 
 def _window(carver: _Carver, hall: Floats, radius: float, foot: Floats) -> None:
     """A hole high in a hall's wall that leads to a shaft down: its sill keeps walkers from the edge."""
     top = np.array([foot[0], foot[1], hall[2] + 2.8])
-    inner = hall + [0, 0, 2.8]
+    inner = hall + up(2.8)
     inner[:2] += (top - hall)[:2] / np.linalg.norm((top - hall)[:2]) * (radius - 2.0)
-    carver.tube(inner, top, (1.3, 1.5), floor=False)
-    carver.tube(top, foot + [0, 0, 1.0], (1.9, 2.2), floor=False)
+    carver.shaft(inner, top, (1.3, 1.5))
+    carver.shaft(top, foot + up(1.0), (1.9, 2.2))

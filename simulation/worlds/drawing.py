@@ -108,9 +108,7 @@ def _scale_bar(ax: Axes, x: float, y: float, width: float) -> None:
     ax.set_ylim(bottom=drop - 0.02 * width)
 
 
-def _draw_sections(
-    figure: SubFigure | Figure, world: World, survey: Survey, sections: list[Section]
-) -> None:
+def _draw_sections(figure: SubFigure | Figure, world: World, survey: Survey, sections: list[Section]) -> None:
     widths = [section.air.shape[0] for section in sections]
     for section, ax in zip(sections, figure.subplots(1, 2, width_ratios=widths), strict=True):
         _draw_section(ax, survey, section, _vertical_scale(world))

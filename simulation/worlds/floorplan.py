@@ -86,7 +86,7 @@ def _features(rng: np.random.Generator, obstacle: Obstacle) -> dict[tuple[int, i
     flip = int(rng.integers(2))
     if obstacle == "corridor":
         near, far = [("stair", 0, 3), ramp], [atrium, ("stair", 0, 3)]
-        return {(0, flip): near[0], (0, 1 - flip): near[1], (1, flip): far[0], (1, 1 - flip): far[1]}  # type: ignore[dict-item]
+        return {(0, flip): near[0], (0, 1 - flip): near[1], (1, flip): far[0], (1, 1 - flip): far[1]}
     features: list[Feature] = [("stair", 0, 1), ramp, atrium, ("stair", 1, 3)]
     order = rng.permutation(4)
     quadrants = [(0, 0), (0, 1), (1, 0), (1, 1)]
@@ -118,10 +118,16 @@ def _offset(rng: np.random.Generator, room: float, width: float) -> float:
     return float(rng.choice([0.0, free, spot, spot]))
 
 
+def wing_bays(plan: Plan, wing: int, side: int, level: int) -> list[Bay]:
+    """The fixed bays of a quadrant that this level has."""
+    start, end = _wing_interval(wing, plan.length_m, plan.split_x)
+    return [b for b in plan.bays if b.side == side and start - 0.1 < b.x0 < end and b.serves(level)]
+
+
 def gaps(plan: Plan, wing: int, side: int, level: int) -> list[tuple[float, float]]:
     """x intervals of a quadrant that hold rooms on this level."""
     start, end = _wing_interval(wing, plan.length_m, plan.split_x)
-    inside = [b for b in plan.bays if b.side == side and start - 0.1 < b.x0 < end and b.serves(level)]
+    inside = wing_bays(plan, wing, side, level)
     edges = [start - WALL_M]
     for bay in inside:
         edges += [bay.x0, bay.x1]

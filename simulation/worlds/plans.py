@@ -4,20 +4,24 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
+from simulation.worlds.solids import up
 from simulation.worlds.voxels import Bools, Floats, Voxels, casting_scene, roofed, voxelise
 from simulation.worlds.world import World
 
 EYE_M = 2.1
 """Height above the floor at which a plan cuts a level."""
 _CELLS = 1.6e7
-_HEADROOM_M = 1.8
+_HEADROOM_M = 1.2
 _FLAT_SHARE = 0.6
 _BAND_MAX_M = 8.0
+_APART = 24
+"""Levels lie at least this many bins of 0.1 m apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,7 +55,13 @@ class Survey:
         voxel = max(0.1, (size / _CELLS) ** (1 / 3))
         self._scene = casting_scene(world.vertices, world.triangles)
         self.voxels: Voxels = voxelise(self._scene, world.lower, world.upper, voxel)
-        self.air = self.voxels.region(self.voxels.index(world.start + [0, 0, 0.7])) & roofed(self.voxels)
+        self.air = self._enclosed(self.voxels.region(self.voxels.index(world.start + up(0.7))))
+
+    def _enclosed(self, air: Bools) -> Bools:
+        """In a world open to the outside: without its unroofed part."""
+        if not any(air.take(side, axis=axis).any() for axis in range(3) for side in (0, -1)):
+            return air
+        return np.asarray(air & roofed(self.voxels))
 
     @property
     def air_m3(self) -> float:
@@ -77,21 +87,24 @@ class Survey:
     def _heights(self, layers: Floats) -> Floats:
         return np.asarray(self.voxels.origin[2] + layers * self.voxels.voxel_m)
 
+    @cached_property
+    def _floor_heights(self) -> Floats:
+        """(N,) heights in metres of all floor cells."""
+        nodes = self.voxels.nodes(np.argwhere(self.floors))
+        return nodes[:, 2] - self._look(nodes, np.array([0.0, 0.0, -1.0]))
+
     def _levels(self) -> list[float]:
         """Heights of floors that hold most of the floor area; empty for natural ground."""
-        area = self.floors.sum(axis=(0, 1)).astype(float)
-        reach = max(1, round(0.2 / self.voxels.voxel_m))
-        near = np.convolve(area, np.ones(2 * reach + 1), mode="same")
+        heights = self._floor_heights
+        low = float(heights.min()) - 0.05
+        near = np.convolve(np.bincount(((heights - low) / 0.1).astype(int)), np.ones(3), mode="same")
         rest, levels, held = near.copy(), [], 0.0
-        apart = int(2.4 / self.voxels.voxel_m)
         while rest.max() > 0.15 * near.max():
             k = int(np.argmax(rest))
-            levels.append(k)
+            levels.append(low + 0.1 * k + 0.05)
             held += near[k]
-            rest[max(0, k - apart) : k + apart + 1] = 0
-        if held < _FLAT_SHARE * area.sum():
-            return []
-        return sorted(float(z) for z in self._heights(np.array(levels, dtype=float)))
+            rest[max(0, k - _APART) : k + _APART + 1] = 0
+        return sorted(levels) if held > _FLAT_SHARE * len(heights) else []
 
     def _bands(self) -> list[tuple[float, float]]:
         """Storeys of natural ground, split where hardly any floor lies; else thirds of the floor area."""
@@ -103,9 +116,11 @@ class Survey:
         runs = [(a, b) for a, b in turns if area[a:b].sum() > 0.08 * area.sum()]
         if len(runs) == 1 and (runs[0][1] - runs[0][0]) * self.voxels.voxel_m > _BAND_MAX_M:
             cuts = np.interp([0, 1 / 3, 2 / 3, 1], np.cumsum(area) / area.sum(), np.arange(len(area)))
-            runs = [(int(a), int(b) + 1) for a, b in zip(cuts[:-1], cuts[1:], strict=True)]
-        heights = [self._heights(np.array(run, dtype=float)) for run in runs]
-        return [(float(low), float(high)) for low, high in heights]
+        else:
+            middles = [(a[1] + b[0]) / 2 for a, b in pairwise(runs)]
+            cuts = np.array([0, *middles, len(area) - 1])
+        heights = self._heights(cuts)
+        return [(float(low), float(high)) for low, high in pairwise(heights)]
 
     def _level(self, z: float) -> Plan:
         layer = int((z + EYE_M - self.voxels.origin[2]) / self.voxels.voxel_m)
@@ -119,10 +134,12 @@ class Survey:
     def _band(self, low: float, high: float) -> Plan:
         first, last = (int((z - self.voxels.origin[2]) / self.voxels.voxel_m) for z in (low, high))
         floors = self.floors[:, :, first : last + 1]
-        top = first + floors.shape[2] - 1 - np.argmax(floors[:, :, ::-1], axis=2)
-        floor = self._floor_below(floors.any(axis=2), top)
-        air = self.air[:, :, first : last + 1].any(axis=2)
-        return Plan(f"floors from z = {np.nanmin(floor):.0f} to {np.nanmax(floor):.0f} m", None, air, floor)
+        lies = np.asarray(floors.any(axis=2))
+        lowest = first + np.argmax(floors, axis=2)
+        floor = self._floor_below(lies, lowest)
+        air = np.asarray(self.air[:, :, first : last + 1].any(axis=2))
+        bottom, top = np.nanpercentile(floor, [1, 99])
+        return Plan(f"floors from z = {bottom:.0f} to {top:.0f} m", None, air, floor)
 
     def _floor_below(self, where: Bools, layers: NDArray[np.int64]) -> Floats:
         """(X, Y) height of the surface below the nodes of the given layers; nan outside `where`."""
@@ -135,7 +152,7 @@ class Survey:
         """Lengthwise through the highest air, crosswise where most different floor heights show."""
         height = self.air.sum(axis=2) * self.voxels.voxel_m
         along = int(np.argmax((height + 3 * np.maximum(self._tallest() - 4.0, 0)).sum(axis=0)))
-        steps = self.floors.any(axis=1).sum(axis=1)
+        steps = self.floors.any(axis=1).sum(axis=1) + 1e-6 * self.air.sum(axis=(1, 2))
         return [self._section(1, along), self._section(0, int(np.argmax(steps)))]
 
     def _tallest(self) -> Floats:
@@ -148,7 +165,7 @@ class Survey:
         return tallest * self.voxels.voxel_m
 
     def _section(self, axis: int, cut: int) -> Section:
-        air = self.air.take(cut, axis=axis)
+        air = np.asarray(np.take(self.air, cut, axis=axis))
         cells = np.insert(np.argwhere(air), axis, cut, axis=1)
         depth = np.full(air.shape, np.nan)
         eyes, towards = self.voxels.nodes(cells), np.zeros(3)
@@ -158,4 +175,6 @@ class Survey:
 
     def _look(self, eyes: Floats, towards: Floats) -> Floats:
         rays = np.concatenate([eyes, np.broadcast_to(towards, eyes.shape)], axis=1).astype(np.float32)
-        return np.asarray(self._scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy(), dtype=np.float64)
+        return np.asarray(
+            self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))["t_hit"].numpy(), dtype=np.float64
+        )

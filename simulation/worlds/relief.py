@@ -65,4 +65,5 @@ def _shade(plan: Plan, voxel_m: float) -> Floats:
     """(X, Y) brightness of light from the south-west; edges of treads and rubble stand out."""
     filled = np.where(np.isfinite(plan.floor_m), plan.floor_m, np.nanmedian(plan.floor_m))
     gx, gy = np.gradient(filled, voxel_m)
-    return np.clip(1.0 - 0.3 * np.clip(gx + gy, -1.2, 1.2), 0.6, 1.25)
+    shade = np.clip(1.0 - 0.3 * np.clip(gx + gy, -1.2, 1.2), 0.6, 1.25)
+    return np.asarray(shade, dtype=np.float64)

@@ -61,7 +61,9 @@ class Rock:
 
         closed = np.full(np.array(self.distance.shape) + 2, 1.0, dtype=np.float32)
         closed[1:-1, 1:-1, 1:-1] = self.distance
-        vertices, faces, _, _ = marching_cubes(closed, 0.0, gradient_direction="ascent")
+        vertices, faces, _, _ = marching_cubes(
+            closed, 0.0, gradient_direction="ascent", allow_degenerate=False
+        )
         return Mesh(self.lower + (vertices - 1) * self.cell_m, faces.astype(np.int32))
 
 

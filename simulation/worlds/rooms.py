@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 import numpy as np
 
 from simulation.worlds.blocks import Blocks
 from simulation.worlds.flights import PARAPET_M
-from simulation.worlds.floorplan import CLEAR_M, STOREY_M, WALL_M, Bay, Plan, cuts, gaps, grid
+from simulation.worlds.floorplan import CLEAR_M, STOREY_M, WALL_M, Bay, Plan, cuts, gaps, grid, wing_bays
 
 DOOR_M = 1.6
 DOOR_HEIGHT_M = 2.4
@@ -50,10 +51,10 @@ class Rooms:
         ]
         for x0, x1 in rooms:
             self._room(x0, x1, side)
-        for (_, left), (right, _) in zip(rooms[:-1], rooms[1:], strict=True):
+        for (_, left), (right, _) in pairwise(rooms):
             if right - left < WALL_M + 0.1 and self.rng.random() < 0.4:
                 self._side_door(left, right, side)
-        self._behind_stair(rooms, side)
+        self._behind_stair(rooms, wing, side)
 
     def _room(self, x0: float, x1: float, side: int) -> None:
         """A room with its door, at times divided into a front and a back room."""
@@ -87,12 +88,12 @@ class Rooms:
         outward = -1 if side else 1
         self._door(x0, x1, far + outward * 0.6, far + outward * (0.6 + DOOR_M))
 
-    def _behind_stair(self, rooms: list[tuple[float, float]], side: int) -> None:
+    def _behind_stair(self, rooms: list[tuple[float, float]], wing: int, side: int) -> None:
         """The space behind a stair is a room reached from a neighbour."""
         near, far = self.plan.strip(side)
         inward = 1 if side else -1
-        for bay in self.plan.bays:
-            if bay.kind != "stair" or bay.side != side or not bay.serves(self.level):
+        for bay in wing_bays(self.plan, wing, side, self.level):
+            if bay.kind != "stair":
                 continue
             left = [x1 for _, x1 in rooms if abs(x1 - (bay.x0 - WALL_M)) < 0.1]
             right = [x0 for x0, _ in rooms if abs(x0 - (bay.x1 + WALL_M)) < 0.1]

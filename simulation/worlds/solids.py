@@ -12,6 +12,11 @@ from scipy.spatial import ConvexHull
 Floats = NDArray[np.float64]
 
 
+def up(height_m: float) -> Floats:
+    """The vector (3,) that points up by so much."""
+    return np.array([0.0, 0.0, height_m])
+
+
 @dataclass(frozen=True, eq=False)
 class Mesh:
     """`vertices` (V, 3) in metres and `triangles` (T, 3); normals point to the air."""
@@ -55,13 +60,13 @@ def rubble(rng: np.random.Generator, a: Floats, b: Floats, height_m: float) -> l
     An upright core as thick as 0.8 m keeps walkers out; tilted blocks make it look and scan like rubble.
     """
     along = (b - a) / np.linalg.norm(b - a)
-    across = np.cross([0.0, 0.0, 1.0], along)
+    across = np.cross(up(1.0), along)
     return [_core(a, b, across, height_m), *_blocks(rng, a, b, across, height_m)]
 
 
 def _core(a: Floats, b: Floats, across: Floats, height_m: float) -> Mesh:
-    foot = [end + side * across * 0.4 - [0.0, 0.0, 0.3] for end in (a, b) for side in (-1, 1)]
-    crest = [end + side * across * 0.3 + [0.0, 0.0, 0.85 * height_m] for end in (a, b) for side in (-1, 1)]
+    foot = [end + side * across * 0.4 - up(0.3) for end in (a, b) for side in (-1, 1)]
+    crest = [end + side * across * 0.3 + up(0.85 * height_m) for end in (a, b) for side in (-1, 1)]
     return hull(np.array(foot + crest))
 
 

@@ -9,6 +9,7 @@ import open3d as o3d
 from numpy.typing import NDArray
 
 from onboard.core.errors import InputError
+from simulation.worlds.solids import up
 from simulation.worlds.voxels import Bools, Floats, casting_scene, crossings, roofed, voxelise
 
 HEADROOM_M = 2.0
@@ -51,12 +52,12 @@ class StartFinder:
         point = np.array(start, dtype=np.float64)
         text = "start ({:g}, {:g}, {:g})".format(*start)
         lift = 0.3
-        drop = float(self._cast(point[None] + [0, 0, lift], np.array([[0.0, 0.0, -1.0]]))[0, 0]) - lift
+        drop = float(self._cast(point[None] + up(lift), np.array([[0.0, 0.0, -1.0]]))[0, 0]) - lift
         if not drop <= DROP_M:
             raise InputError(f"{text} has no floor within {DROP_M:g} m below; name a point inside")
-        floor = point - [0.0, 0.0, drop]
+        floor = point - up(drop)
         found = self._judge(floor[None])
-        headroom = float(self._cast(floor[None] + [0, 0, 0.05], np.array([[0.0, 0.0, 1.0]]))[0, 0])
+        headroom = float(self._cast(floor[None] + up(0.05), np.array([[0.0, 0.0, 1.0]]))[0, 0])
         if headroom < HEADROOM_M:
             raise InputError(f"{text} has {headroom:.1f} m of headroom; {HEADROOM_M:g} m are needed")
         if found.covered[0] < COVERED_SHARE:
@@ -82,7 +83,7 @@ class StartFinder:
     def open_direction(self, floor: Floats) -> float:
         """Yaw in radians that looks farthest from a floor point (3,)."""
         azimuths = np.arange(72) / 72 * 2 * np.pi
-        reach = np.minimum(self._cast(floor[None] + [0, 0, 0.8], _horizontal(azimuths))[0], 20.0)
+        reach = np.minimum(self._cast(floor[None] + up(0.8), _horizontal(azimuths))[0], 20.0)
         wide = sum(np.roll(reach, shift) for shift in range(-3, 4))
         best = float(azimuths[int(np.argmax(wide))])
         return best if best <= np.pi else best - 2 * np.pi
@@ -92,7 +93,9 @@ class StartFinder:
         rays = np.empty((len(origins), len(directions), 6), dtype=np.float32)
         rays[..., :3] = origins[:, None]
         rays[..., 3:] = directions[None]
-        return np.asarray(self._scene.cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy(), dtype=np.float64)
+        return np.asarray(
+            self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))["t_hit"].numpy(), dtype=np.float64
+        )
 
     def _floors(self) -> Floats:
         """(N, 3) surface points with headroom, on a regular plan grid."""
@@ -116,16 +119,17 @@ class StartFinder:
     def _even(self, floors: Floats) -> Floats:
         """Those around which the floor goes on at about the same height."""
         even = np.ones(len(floors), dtype=bool)
-        for azimuth in np.arange(8) / 8 * 2 * np.pi:
-            offset = np.array([0.6 * np.cos(azimuth), 0.6 * np.sin(azimuth), _EYE_M])
-            down = self._cast(floors + offset, np.array([[0.0, 0.0, -1.0]]))[:, 0]
-            even &= np.abs(down - _EYE_M) <= _UNEVEN_M
+        for radius in (0.6, FREE_RADIUS_M):
+            for azimuth in np.arange(8) / 8 * 2 * np.pi:
+                offset = np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), _EYE_M])
+                down = self._cast(floors + offset, np.array([[0.0, 0.0, -1.0]]))[:, 0]
+                even &= np.abs(down - _EYE_M) <= _UNEVEN_M
         return floors[even]
 
     def _judge(self, floors: Floats) -> _Floors:
-        around = np.isfinite(self._cast(floors + [0, 0, _EYE_M], _sphere(128))).mean(axis=1)
+        around = np.isfinite(self._cast(floors + up(_EYE_M), _sphere(128))).mean(axis=1)
         level = _horizontal(np.arange(24) / 24 * 2 * np.pi)
-        radius = [self._cast(floors + [0, 0, height], level).min(axis=1) for height in (0.4, 0.9)]
+        radius = [self._cast(floors + up(height), level).min(axis=1) for height in (0.4, 0.9)]
         return _Floors(floors, around, np.minimum(*radius))
 
     def _in_largest(self, floors: _Floors) -> Bools:
@@ -134,7 +138,7 @@ class StartFinder:
         voxel = float(np.clip((size / _CELLS) ** (1 / 3), 0.15, 0.7))
         voxels = voxelise(self._scene, self._lower, self._upper, voxel)
         covered = roofed(voxels)
-        cells = np.array([voxels.index(point + [0, 0, _EYE_M]) for point in floors.points])
+        cells = np.array([voxels.index(point + up(_EYE_M)) for point in floors.points])
         best, most, unseen = np.zeros(len(cells), dtype=bool), -1, np.ones(len(cells), dtype=bool)
         while unseen.any():
             first = cells[np.argmax(unseen)]

@@ -40,12 +40,12 @@ class Voxels:
 
     def nodes(self, indices: NDArray[np.int64]) -> Floats:
         """(N, 3) node points of (N, 3) voxel indices."""
-        return self.origin + (indices + 0.5 + _OFF_CENTRE) * self.voxel_m
+        return np.asarray(self.origin + (indices + 0.5 + _OFF_CENTRE) * self.voxel_m)
 
     def region(self, seed: tuple[int, int, int], allowed: Bools | None = None) -> Bools:
         """Voxels whose nodes a path of free links joins with the seed's, inside `allowed` if given."""
         within = np.ones(self.occupied.shape, dtype=np.bool_) if allowed is None else allowed
-        return _flooded(*self.barred, within, np.array(seed, dtype=np.int64))
+        return np.asarray(_flooded(*self.barred, within, np.array(seed, dtype=np.int64)))
 
 
 def casting_scene(
@@ -54,8 +54,8 @@ def casting_scene(
     """An Open3D scene to cast rays at the mesh."""
     scene = o3d.t.geometry.RaycastingScene()
     scene.add_triangles(
-        o3d.core.Tensor(np.ascontiguousarray(vertices, dtype=np.float32)),
-        o3d.core.Tensor(np.ascontiguousarray(triangles, dtype=np.uint32)),
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(vertices, dtype=np.float32)),
+        o3d.core.Tensor.from_numpy(np.ascontiguousarray(triangles, dtype=np.uint32)),
     )
     return scene
 
@@ -67,7 +67,7 @@ def crossings(
     rays = np.zeros((len(origins), 6), dtype=np.float32)
     rays[:, :3] = origins
     rays[:, 3 + axis] = 1.0
-    found = scene.list_intersections(o3d.core.Tensor(rays))
+    found = scene.list_intersections(o3d.core.Tensor.from_numpy(rays))
     lines = found["ray_ids"].numpy().astype(np.int64)
     return lines, origins[lines, axis] + found["t_hit"].numpy().astype(np.float64)
 
@@ -103,11 +103,12 @@ def _cross(
 
 
 def roofed(voxels: Voxels) -> Bools:
-    """Voxels with a surface somewhere below and somewhere above."""
-    met = voxels.occupied
-    below = np.logical_or.accumulate(met, axis=2)
-    above = np.logical_or.accumulate(met[:, :, ::-1], axis=2)[:, :, ::-1]
-    return np.asarray(below & above)
+    """(X, Y, Z) nodes with a surface somewhere right below and somewhere right above."""
+    met = voxels.barred[2]
+    below, above = np.zeros_like(met), np.zeros_like(met)
+    below[:, :, 1:] = np.logical_or.accumulate(met, axis=2)[:, :, :-1]
+    above[:, :, ::-1] = np.logical_or.accumulate(met[:, :, ::-1], axis=2)
+    return below & above
 
 
 @njit(cache=True, nogil=True)

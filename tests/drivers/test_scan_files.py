@@ -143,7 +143,7 @@ def test_files_without_numbers_are_read_by_name(tmp_path: Path) -> None:
 def test_what_cannot_be_opened_is_one_clear_line(tmp_path: Path, velodyne_pcap: Path) -> None:
     few, odd, empty = tmp_path / "few.npy", tmp_path / "film.mp4", tmp_path / "empty"
     np.save(few, CLOUD[:5])
-    odd.touch()
+    odd.write_text("film")
     empty.mkdir()
     (tmp_path / "zero.pcap").touch()
     (tmp_path / "text.pcap").write_text("no packets here " * 9)
