@@ -4,6 +4,7 @@ VENV := .venv
 STAMP := $(VENV)/.installed
 
 $(STAMP): pyproject.toml
+	.ci/system-packages $(PYTHON)
 	$(PYTHON) -m venv $(VENV)
 	$(VENV)/bin/pip install --quiet --upgrade pip
 	$(VENV)/bin/pip install --quiet --editable ".[dev]"
@@ -13,7 +14,7 @@ $(STAMP): pyproject.toml
 setup: $(STAMP)
 
 demo: setup  ## the whole mission in a simulated building: explore, deploy, regroup, merge
-	$(VENV)/bin/marsupial simulate --world building --seed 1 --duration 900 --out run
+	$(VENV)/bin/marsupial simulate --world building --seed 1 --duration 900 --out run --force
 
 lint: setup
 	$(VENV)/bin/ruff check .

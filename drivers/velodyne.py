@@ -41,7 +41,7 @@ def is_data_packet(payload: bytes) -> bool:
 
 def _payloads(path: Path) -> Iterator[Packet]:
     """UDP payloads of a capture, up to a torn end. Raises InputError when the file is no pcap."""
-    import dpkt  # type: ignore[import-untyped]  # noqa: PLC0415  # comes with velodyne_decoder
+    import dpkt  # noqa: PLC0415  # comes with velodyne_decoder
     from velodyne_decoder.util import iter_pcap  # noqa: PLC0415
 
     try:

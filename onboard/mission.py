@@ -1,4 +1,5 @@
-"""The phases of a mission as a pure state machine: what each robot is doing, and what makes it do the next thing.
+"""The phases of a mission as a pure state machine: what each robot is doing, and what makes it do the next
+thing.
 
     ground  CARRYING -> DEPLOYING -> EXPLORING -> RETURNING -> WAITING -> DONE
     aerial  CARRIED -> TAKING_OFF -> EXPLORING -> RETURNING -> WAITING -> DONE
@@ -8,6 +9,7 @@ A ground robot without an aerial one begins in EXPLORING and is DONE when it is 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -56,23 +58,8 @@ class Facts:
 
 def next_phase(phase: Phase, facts: Facts) -> Phase:
     """The phase that follows, which is `phase` itself while nothing calls for a change."""
-    match phase:
-        case Phase.CARRYING:
-            return _carrying(facts)
-        case Phase.DEPLOYING:
-            return Phase.EXPLORING if facts.peer_clear else phase
-        case Phase.CARRIED:
-            return Phase.TAKING_OFF if facts.released else phase
-        case Phase.TAKING_OFF:
-            return Phase.EXPLORING if facts.peer_clear else phase
-        case Phase.EXPLORING:
-            return Phase.RETURNING if facts.nothing_left or facts.must_return else phase
-        case Phase.RETURNING:
-            return Phase.WAITING if facts.arrived else phase
-        case Phase.WAITING:
-            return _waiting(facts)
-        case _:
-            return phase
+    rule = _RULES.get(phase)
+    return phase if rule is None else rule(facts)
 
 
 def _carrying(facts: Facts) -> Phase:
@@ -81,7 +68,22 @@ def _carrying(facts: Facts) -> Phase:
     return Phase.RETURNING if facts.nothing_left or facts.must_return else Phase.CARRYING
 
 
+def _exploring(facts: Facts) -> Phase:
+    return Phase.RETURNING if facts.nothing_left or facts.must_return else Phase.EXPLORING
+
+
 def _waiting(facts: Facts) -> Phase:
     if not facts.arrived:
         return Phase.RETURNING
     return Phase.DONE if facts.peers_arrived and facts.shared and facts.complete else Phase.WAITING
+
+
+_RULES: dict[Phase, Callable[[Facts], Phase]] = {
+    Phase.CARRIED: lambda facts: Phase.TAKING_OFF if facts.released else Phase.CARRIED,
+    Phase.CARRYING: _carrying,
+    Phase.DEPLOYING: lambda facts: Phase.EXPLORING if facts.peer_clear else Phase.DEPLOYING,
+    Phase.TAKING_OFF: lambda facts: Phase.EXPLORING if facts.peer_clear else Phase.TAKING_OFF,
+    Phase.EXPLORING: _exploring,
+    Phase.RETURNING: lambda facts: Phase.WAITING if facts.arrived else Phase.RETURNING,
+    Phase.WAITING: _waiting,
+}

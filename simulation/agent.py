@@ -25,7 +25,9 @@ BRACKET_M = 0.15
 class Agent:
     """Steps core and body together. `pose` is what the (perfect) localisation tells the core."""
 
-    def __init__(self, config: Config, settings: RobotSettings, scene: Scene, seed: int, start: Pose, log: Log) -> None:
+    def __init__(
+        self, config: Config, settings: RobotSettings, scene: Scene, seed: int, start: Pose, log: Log
+    ) -> None:
         self.settings = settings
         noise = np.random.default_rng([seed, settings.id, 7])
         self._lidar = LidarSimulator(scene, settings.lidar, noise)

@@ -85,7 +85,9 @@ def reachable(config: Config, world: World) -> Truth:
     aerial = next((robot for robot in config.robots if robot.kind == "aerial"), None)
     half = (0.19, 0.19, 0.12) if aerial is None else tuple(size / 2 for size in aerial.size_m)
     from_pose = bracket_pose(Pose.from_rpy(world.start), ground.size_m[2])
-    return Truth(world.vertices, world.triangles, config.map.voxel_m, from_pose.position, (half[0], half[1], half[2]))
+    return Truth(
+        world.vertices, world.triangles, config.map.voxel_m, from_pose.position, (half[0], half[1], half[2])
+    )
 
 
 class Run:
@@ -100,7 +102,10 @@ class Run:
     def _event(self, time_s: float, kind: str, **fields: Any) -> None:
         self._events.write(time_s, kind, **fields)
         if kind == "deploy":
-            self.mission.deployment = self.mission.deployment or {"time_s": time_s, "target": fields["target"]}
+            self.mission.deployment = self.mission.deployment or {
+                "time_s": time_s,
+                "target": fields["target"],
+            }
             self._markers.append(Marker("deploy", "deploy", fields["position"], time_s))
             self._markers.append(Marker("target", "target", fields["target"], time_s))
         if kind == "regroup" and fields["robot"] == self.mission.carriers[0].name:
@@ -136,6 +141,8 @@ class Run:
         record = self.record(result)
         write_json(out / "metrics.json", result)
         write_json(out / "config.json", record.parameters)
+        write_json(out / "timeline.json", record.timeline)
+        write_json(out / "paths.json", {name: path.round(3) for name, path in record.paths.items()})
         write_ply(out / "map.ply", record.occupied, observer_colours(record.seen_by, len(record.robots)))
         write_report(out, record)
 

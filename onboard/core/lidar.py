@@ -36,7 +36,7 @@ class LidarModel:
     @cached_property
     def elevations_rad(self) -> NDArray[np.float64]:
         """(H,) beam elevations in radians, descending."""
-        return np.deg2rad(np.array(self.elevations_deg))
+        return np.asarray(np.deg2rad(np.array(self.elevations_deg)))
 
     @cached_property
     def azimuths_rad(self) -> NDArray[np.float64]:

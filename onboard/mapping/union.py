@@ -14,7 +14,8 @@ from onboard.mapping.voxel_map import VoxelMap
 def union_count(
     maps: Sequence[VoxelMap], lower: ArrayLike, upper: ArrayLike, source: int | None = None
 ) -> int:
-    """Voxels with centres in [lower, upper), metres, that at least one map observed (by `source`, None: anyone)."""
+    """Voxels with centres in [lower, upper), metres, that at least one map observed (by `source`, None:
+    anyone)."""
     keys = np.concatenate([m.store.block_keys[: m.store.count] for m in maps])
     masks = np.concatenate([m.known_masks(source) for m in maps])
     unique, place = np.unique(keys, return_inverse=True)

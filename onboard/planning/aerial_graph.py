@@ -30,20 +30,24 @@ class AirSpace:
     clearance: NDArray[np.float32]
 
     def segment_clearance(self, starts: FloatArray, ends: FloatArray) -> NDArray[np.float32]:
-        """Smallest clearance (N,) along straight flights (N, 3) -> (N, 3); 0 where one leaves allowed space."""
+        """Smallest clearance (N,) on straight flights (N, 3) -> (N, 3); 0 where one leaves allowed space."""
         origin = self.lower * self.voxel_m
         scale = 1.0 / self.voxel_m
-        return _segment_clearance(self.clearance, (starts - origin) * scale, (ends - origin) * scale)
+        return np.asarray(
+            _segment_clearance(self.clearance, (starts - origin) * scale, (ends - origin) * scale)
+        )
 
 
-def air_space(voxel_map: VoxelMap, centre: FloatArray, settings: PlannerSettings, body_m: tuple[float, ...]) -> AirSpace:
+def air_space(
+    voxel_map: VoxelMap, centre: FloatArray, settings: PlannerSettings, body_m: tuple[float, ...]
+) -> AirSpace:
     """Allowed space of a body of size `body_m` in the planning window around `centre` (3,)."""
     voxel_m = voxel_map.voxel_m
     shape = np.ceil(np.array(settings.window_m) / voxel_m).astype(np.int64)
     lower = np.floor(centre / voxel_m).astype(np.int64) - shape // 2
     window = DistanceWindow(voxel_map, lower, (int(shape[0]), int(shape[1]), int(shape[2])), cap_m=2.0)
     clearance = window.distances_m
-    # half a voxel: the surface lies somewhere inside the occupied voxel whose centre the distance is measured to
+    # half a voxel: the surface lies anywhere inside the occupied voxel to whose centre is measured
     required = max(body_m) / 2 + settings.clearance_m + voxel_m / 2
     _forbid(clearance, window.status, np.float32(required))
     return AirSpace(lower, voxel_m, clearance)
@@ -67,7 +71,9 @@ def _forbid(clearance: NDArray[np.float32], window: I8, required: float) -> None
 
 
 @njit(cache=True, nogil=True)
-def _segment_clearance(clearance: NDArray[np.float32], starts: FloatArray, ends: FloatArray) -> NDArray[np.float32]:
+def _segment_clearance(
+    clearance: NDArray[np.float32], starts: FloatArray, ends: FloatArray
+) -> NDArray[np.float32]:
     result = np.empty(len(starts), np.float32)
     for n in range(len(starts)):
         delta = ends[n] - starts[n]
@@ -77,7 +83,9 @@ def _segment_clearance(clearance: NDArray[np.float32], starts: FloatArray, ends:
             x = int(np.floor(starts[n, 0] + delta[0] * step / steps))
             y = int(np.floor(starts[n, 1] + delta[1] * step / steps))
             z = int(np.floor(starts[n, 2] + delta[2] * step / steps))
-            inside = 0 <= x < clearance.shape[0] and 0 <= y < clearance.shape[1] and 0 <= z < clearance.shape[2]
+            inside = (
+                0 <= x < clearance.shape[0] and 0 <= y < clearance.shape[1] and 0 <= z < clearance.shape[2]
+            )
             smallest = min(smallest, clearance[x, y, z]) if inside else np.float32(0.0)
             if smallest <= 0:
                 break
@@ -118,7 +126,8 @@ class AerialGraph:
         return np.concatenate([way, point[None]]) if self.connects(way[-1], point) else way
 
     def _shortcut(self, path: FloatArray) -> FloatArray:
-        """Skip corners where the straight flight keeps the clearance that the corners had, or enough of it."""
+        """Skip corners where the straight flight keeps the clearance that the corners had, or enough of
+        it."""
         legs = self.space.segment_clearance(path[:-1], path[1:])
         kept = [0]
         while kept[-1] < len(path) - 1:
@@ -155,7 +164,7 @@ def build_aerial_graph(
     rng: np.random.Generator,
     seeds: FloatArray | None = None,
 ) -> AerialGraph:
-    """Graph around a body whose centre is at `centre` (3,); `seeds` (K, 3) are vertices to try again (warm start)."""
+    """Graph around a body with its centre at `centre` (3,); `seeds` (K, 3): vertices of an earlier cycle."""
     space = air_space(voxel_map, centre, settings, body_m)
     root = _free_root(space, centre)
     samples = [root[None], _sample(space, settings.vertices, rng)]
@@ -165,7 +174,7 @@ def build_aerial_graph(
 
 
 def _free_root(space: AirSpace, centre: FloatArray) -> FloatArray:
-    """`centre` itself, or the closest allowed place within a metre when the body stands too close to something."""
+    """`centre` itself, or the closest allowed place within a metre if the body is too close to something."""
     if space.segment_clearance(centre[None], centre[None])[0] > 0:
         return centre
     reach = int(np.ceil(1.0 / space.voxel_m))
@@ -175,11 +184,11 @@ def _free_root(space: AirSpace, centre: FloatArray) -> FloatArray:
     if len(cells) == 0:
         return centre
     places = (cells + space.lower + 0.5) * space.voxel_m
-    return places[int(np.argmin(np.linalg.norm(places - centre, axis=1)))]
+    return np.asarray(places[int(np.argmin(np.linalg.norm(places - centre, axis=1)))])
 
 
 def _sample(space: AirSpace, count: int, rng: np.random.Generator) -> FloatArray:
-    """At most `count` allowed places, spread: one per metre cell first, so that narrow passages get theirs."""
+    """At most `count` allowed places, one for each metre cell, so that narrow passages get theirs."""
     cells = np.argwhere(space.clearance > 0)
     cells = cells[rng.permutation(len(cells))]
     buckets = cells // max(1, round(1.0 / space.voxel_m))
@@ -187,4 +196,4 @@ def _sample(space: AirSpace, count: int, rng: np.random.Generator) -> FloatArray
     flat = (buckets[:, 0] * shape[1] + buckets[:, 1]) * shape[2] + buckets[:, 2]
     _, first = np.unique(flat, return_index=True)
     chosen = cells[np.sort(first)[:count]]
-    return (chosen + space.lower + 0.5) * space.voxel_m
+    return np.asarray((chosen + space.lower + 0.5) * space.voxel_m, np.float64)

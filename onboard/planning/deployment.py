@@ -1,8 +1,11 @@
 """The carrier's question at every planning step: would a flying robot gain far more than I can myself?
 
-Two rules. `paper`: `phi_g <= exp(-gamma) phi_a` on the gains of the best ground path and the best vertex of a virtual
-aerial graph. `rate`: the same comparison on gains per second, so that speed and distance count, with `gamma` fading to
-zero once the remaining mission is no longer than the aerial robot's endurance: from then on every second in the
+Two rules. `paper`: `phi_g <= exp(-gamma) phi_a` on the gains of the best ground path and the best vertex
+of a virtual
+aerial graph. `rate`: the same comparison on gains per second, so that speed and distance count, with
+`gamma` fading to
+zero once the remaining mission is no longer than the aerial robot's endurance: from then on every second
+in the
 bracket is flight time that can never be used.
 """
 
@@ -48,7 +51,7 @@ class Decision:
 def aerial_outlook(
     voxel_map: VoxelMap, body: Body, take_off: FloatArray, rng: np.random.Generator, launch_s: float
 ) -> AerialOutlook | None:
-    """Evaluate the virtual aerial graph rooted at `take_off` (3,) on the carrier's own map; None if it is boxed in."""
+    """Virtual aerial graph rooted at `take_off` (3,) on the carrier's own map; None if it is boxed in."""
     graph = body.graph(voxel_map, take_off, rng, None)
     assert isinstance(graph, AerialGraph)
     if len(graph.points) < 10 or np.linalg.norm(graph.points[0] - take_off) > 0.5:
@@ -82,14 +85,17 @@ class Trigger:
     def evaluate(
         self, ground: float, outlook: AerialOutlook | None, remaining_s: float, carrier: Pose
     ) -> Decision:
-        """One planning cycle. `ground` is the carrier's best gain: m^3/s for `rate`, ray count for `paper`."""
+        """One planning cycle. `ground` is the carrier's best gain: m^3/s for `rate`, ray count for
+        `paper`."""
         decision = self._decide(ground, outlook, remaining_s, carrier)
         self._cycles = self._cycles + 1 if decision.fire else 0
         if decision.fire and self._cycles < self._settings.debounce_cycles:
             return Decision(False, "debounce", decision.ground, decision.aerial, decision.threshold)
         return decision
 
-    def _decide(self, ground: float, outlook: AerialOutlook | None, remaining_s: float, carrier: Pose) -> Decision:
+    def _decide(
+        self, ground: float, outlook: AerialOutlook | None, remaining_s: float, carrier: Pose
+    ) -> Decision:
         settings = self._settings
         if outlook is None:
             return Decision(False, "take-off space not clear", ground, 0.0, 0.0)

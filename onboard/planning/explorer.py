@@ -24,7 +24,7 @@ RETURN_RADIUS_M = 3.0
 
 
 class Explorer:
-    """Plans over its own map. Reference points: ground robots on the floor, aerial robots at the body's centre."""
+    """Plans over its own map. Reference points: a ground robot's on the floor, an aerial one's centre."""
 
     def __init__(self, settings: RobotSettings, map_settings: MapSettings, seed: int) -> None:
         self.settings = settings
@@ -50,7 +50,8 @@ class Explorer:
 
     def observe(self, point: FloatArray) -> None:
         """The robot is at this reference point (3,): extend the trail and the exploring direction."""
-        assert self.graph is not None and self._heading_from is not None
+        assert self.graph is not None
+        assert self._heading_from is not None
         self.graph.visit(point, self._visible)
         if np.linalg.norm(point - self._trail[-1]) > SEEN_M:
             self._trail.append(point)
@@ -115,14 +116,17 @@ class Explorer:
             if path is None:
                 continue
             settings = self.settings.planner
-            choice = score_path(path, float(gains[index]), self._heading_rad, self.settings.speed_m_s, settings)
+            choice = score_path(
+                path, float(gains[index]), self._heading_rad, self.settings.speed_m_s, settings
+            )
             plan = self._plan(choice, "frontier")
             if self.affordable(plan):
                 return plan
         return None
 
     def route_to(self, point: FloatArray, target: int) -> FloatArray | None:
-        """(M, 3) way from the robot over the global graph to a node; blocked edges on it are avoided where possible."""
+        """(M, 3) way from the robot over the global graph to a node; blocked edges on it are avoided where
+        possible."""
         graph = self.graph
         assert graph is not None
         for _ in range(8):
@@ -137,14 +141,17 @@ class Explorer:
         return None
 
     def go_to(self, point: FloatArray, target: FloatArray, radius_m: float = 2.0) -> Plan:
-        """Plan to a reference point (3,): straight through the local graph when it reaches, else over the global graph."""
+        """Plan to a reference point (3,): straight through the local graph when it reaches, else over the
+        global graph."""
         assert self.graph is not None
         self.local = self.body.graph(self.map, point, self._rng, np.asarray(target)[None])
         self.observe(point)
         if np.linalg.norm(target - point) < min(self.settings.planner.window_m[:2]) / 2 - 1:
             near = self.local.reach(target, 0.5)
             if near is not None:
-                return Plan(self._start_at(point, near), "local", time_s=travel_time(near, self.settings.speed_m_s))
+                return Plan(
+                    self._start_at(point, near), "local", time_s=travel_time(near, self.settings.speed_m_s)
+                )
         offsets = np.linalg.norm(self.graph.points - target, axis=1)
         distances = self._distances_from(point)
         offsets[~np.isfinite(distances)] = np.inf
@@ -155,7 +162,8 @@ class Explorer:
         return Plan(path, "route", time_s=travel_time(path, self.settings.speed_m_s))
 
     def stop_short(self, plan: Plan, distance_m: float) -> Plan:
-        """The plan without its last metres and, where there is room, with a climb of a metre at its new end."""
+        """The plan without its last metres and, where there is room, with a climb of a metre at its new
+        end."""
         path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
         above = path[-1] + np.array([0.0, 0.0, 1.0])
         if self._visible(path[-1], above):
@@ -163,13 +171,15 @@ class Explorer:
         return Plan(path, plan.kind, time_s=plan.time_s)
 
     def times_to(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> FloatArray:
-        """Seconds (N,) of travel to reference points (N, 3) over the global graph, inf where it does not reach."""
+        """Seconds (N,) of travel to reference points (N, 3) over the global graph, inf where it does not
+        reach."""
         assert self.graph is not None
         to_graph = float(np.linalg.norm(point - self.graph.points[self.graph.here]))
         return self._times_from(self.graph.here, targets, radius_m) + to_graph / self.settings.speed_m_s
 
     def _times_from(self, node: int, targets: FloatArray, radius_m: float) -> FloatArray:
-        """Seconds (N,) from a node to the cheapest node within the radius of each target (N, 3), and on to it."""
+        """Seconds (N,) from a node to the cheapest node within the radius of each target (N, 3), and on to
+        it."""
         assert self.graph is not None
         distances = self.graph.distances(node)
         offsets = np.linalg.norm(self.graph.points[None] - targets[:, None], axis=2)
@@ -206,15 +216,16 @@ class Explorer:
         return bool(self.body.blocked(self.map, path[legs], path[legs + 1]).any())
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
-        """Whether short straight ways (N, 3) -> (N, 3) lead through space that is known to be free (aerial)."""
+        """Whether short straight flights (N, 3) -> (N, 3) lead through space that is known to be free."""
         status = self.map.segment_status(starts, ends, self.body.half_extent + 0.1)
-        return np.asarray(status == FREE) & (np.linalg.norm(ends - starts, axis=1) < LINK_M * 1.5)
+        return np.asarray((status == FREE) & (np.linalg.norm(ends - starts, axis=1) < LINK_M * 1.5))
 
     def _plan(self, choice: Choice, kind: str) -> Plan:
         return Plan(choice.path, kind, choice.gain_m3, choice.score, choice.time_s)
 
     def _keep(self, point: FloatArray, current: Plan | None) -> Plan | None:
-        """The current plan from here on with its gain as the map now says, None if it is not worth or not possible."""
+        """The current plan from here on with its gain as the map now says, None if it is not worth or not
+        possible."""
         if current is None or len(current.path) < 2 or current.kind == "route":
             return None
         rest = remaining_path(point, current.path)
@@ -240,7 +251,8 @@ class Explorer:
         return factor
 
     def _unvisited(self, points: FloatArray) -> FloatArray:
-        """Share of a gain (N,) that can be real: what a view promises where the LiDAR has already been is not there."""
+        """Share of a gain (N,) that can be real: what a view promises where the LiDAR has already been is
+        not there."""
         distances, _ = cKDTree(np.stack(self._trail)).query(points)
         return np.asarray(np.clip((distances - SEEN_M) / (FRESH_M - SEEN_M), 0.0, 1.0))
 
@@ -260,7 +272,8 @@ class Explorer:
                 self.graph.frontiers[int(node)] = float(gain)
 
     def _add_frontiers(self, views: NDArray[np.int64], gains: FloatArray) -> None:
-        assert self.graph is not None and self.local is not None
+        assert self.graph is not None
+        assert self.local is not None
         for index in np.argsort(-gains, kind="stable")[:NEW_FRONTIERS]:
             if gains[index] >= self.settings.planner.frontier_m3:
                 path = self.local.path(int(views[index]))

@@ -1,4 +1,5 @@
-"""Path following: from a pose and a path to velocity commands (pure; the robots' bases and the simulator use it)."""
+"""Path following: from a pose and a path to velocity commands (pure; the robots' bases and the simulator
+use it)."""
 
 from __future__ import annotations
 
@@ -8,8 +9,8 @@ import numpy as np
 
 from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose, wrap_angle
-from onboard.planning.plan import remaining_path
 from onboard.planning.local_graph import FloatArray, polyline_length
+from onboard.planning.plan import remaining_path
 
 ALIGN_RAD = 0.4
 REACHED_M = 0.25

@@ -1,8 +1,10 @@
-"""Sparse graph of the places that the robot has been to or could go to, for repositioning, homing and travel times."""
+"""Sparse graph of the places that the robot has been to or could go to, for repositioning, homing and
+travel times."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,7 +59,8 @@ class GlobalGraph:
         return best, float(offsets[best])
 
     def visit(self, point: FloatArray, visible: Visible) -> None:
-        """The robot is at `point`: extend its trail, which is trusted because it was walked, and close loops."""
+        """The robot is at `point`: extend its trail, which is trusted because it was walked, and close
+        loops."""
         if np.linalg.norm(point - self._points[self._last]) < NODE_SPACING_M / 1.5:
             return
         nearest, distance = self.nearest(point)
@@ -68,17 +71,19 @@ class GlobalGraph:
             self._link(node, visible)
         self._last = node
 
-    def add_chain(self, points: FloatArray, passable: Callable[[FloatArray, FloatArray], NDArray[np.bool_]]) -> None:
-        """Join consecutive points (N, 3), such as a peer's trail, wherever the straight way between them is passable."""
+    def add_chain(
+        self, points: FloatArray, passable: Callable[[FloatArray, FloatArray], NDArray[np.bool_]]
+    ) -> None:
+        """Join consecutive points (N, 3), such as a peer's trail, wherever the straight way between them
+        is passable."""
         nodes = [self._merge_or_add(point) for point in points]
-        for (first, second), free in zip(
-            zip(nodes[:-1], nodes[1:], strict=True), passable(points[:-1], points[1:]), strict=True
-        ):
+        for (first, second), free in zip(pairwise(nodes), passable(points[:-1], points[1:]), strict=True):
             if free:
                 self.connect(first, second)
 
     def add_path(self, path: FloatArray, gain_m3: float, visible: Visible) -> int | None:
-        """Keep the way (M, 3) from the robot to a frontier; the new frontier node, None if there is one close by."""
+        """Keep the way (M, 3) from the robot to a frontier; the new frontier node, None if there is one
+        close by."""
         if self.frontiers:
             known = np.array(list(self.frontiers))
             if np.min(np.linalg.norm(self.points[known] - path[-1], axis=1)) < FRONTIER_SPACING_M:
@@ -100,7 +105,8 @@ class GlobalGraph:
             self._cached = None
 
     def block(self, first: int, second: int) -> bool:
-        """An edge looks blocked: remove it, or make it dear if the robot once went there; False if it was dear."""
+        """An edge looks blocked: remove it, or make it dear if the robot once went there; False if it was
+        dear."""
         edge = (min(first, second), max(first, second))
         self._cached = None
         if edge not in self._trail:
@@ -127,7 +133,11 @@ class GlobalGraph:
 
     def _step(self, previous: int, point: FloatArray, visible: Visible) -> int:
         nearest, distance = self.nearest(point)
-        if distance < MERGE_M and nearest != previous and visible(self._points[previous], self._points[nearest]):
+        if (
+            distance < MERGE_M
+            and nearest != previous
+            and visible(self._points[previous], self._points[nearest])
+        ):
             self.connect(previous, nearest)
             return nearest
         node = self._add(point)

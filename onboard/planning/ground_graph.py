@@ -45,12 +45,16 @@ class GroundGraph:
         return self._terrain.points(self._terrain.shortcut(self._terrain.cell_path(cell)))
 
 
-def build_ground_graph(voxel_map: VoxelMap, floor_point: FloatArray, settings: PlannerSettings) -> GroundGraph:
+def build_ground_graph(
+    voxel_map: VoxelMap, floor_point: FloatArray, settings: PlannerSettings
+) -> GroundGraph:
     """Graph around a robot whose feet stand at `floor_point` (3,) of the map frame."""
     voxel_m = voxel_map.voxel_m
     root = np.floor(floor_point / voxel_m).astype(np.int64)
     shape = np.ceil(np.array(settings.window_m) / voxel_m).astype(np.int64)
     lower = root - shape // 2
     # columns are searched up and down: let z vary fastest
-    window = np.ascontiguousarray(dense_window(voxel_map, lower, (int(shape[0]), int(shape[1]), int(shape[2]))))
+    window = np.ascontiguousarray(
+        dense_window(voxel_map, lower, (int(shape[0]), int(shape[1]), int(shape[2])))
+    )
     return GroundGraph(walkable(window, lower, voxel_m, root - lower), settings.vertices)

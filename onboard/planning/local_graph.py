@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
@@ -13,7 +14,8 @@ FloatArray = NDArray[np.float64]
 class LocalGraph(Protocol):
     """Reachable vertices around the robot with their shortest paths.
 
-    `points` (V, 3) reference points of the body (ground: on the floor; aerial: the centre), vertex 0 is the root;
+    `points` (V, 3) reference points of the body (ground: on the floor; aerial: the centre), vertex 0 is
+    the root;
     `distances_m` (V,) travel lengths from the root.
     """
 
@@ -48,7 +50,7 @@ def polyline_length(path: FloatArray) -> float:
 def resample(path: FloatArray, step_m: float) -> FloatArray:
     """The polyline with points at most `step_m` apart; all its corners are kept."""
     pieces = [path[:1]]
-    for start, end in zip(path[:-1], path[1:], strict=True):
+    for start, end in pairwise(path):
         count = max(1, int(np.ceil(np.linalg.norm(end - start) / step_m)))
         fractions = np.arange(1, count + 1)[:, None] / count
         pieces.append(start + fractions * (end - start))

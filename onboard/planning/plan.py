@@ -16,7 +16,7 @@ ATTEMPTS = 3
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """A path (M, 3) of reference points and why it was chosen; an empty path means that nothing is left to do."""
+    """A path (M, 3) of reference points and why it was chosen; an empty one means nothing left to do."""
 
     path: FloatArray
     kind: str
@@ -26,7 +26,7 @@ class Plan:
 
     @property
     def goal(self) -> FloatArray:
-        return self.path[-1]
+        return np.asarray(self.path[-1])
 
 
 NOTHING = Plan(np.zeros((0, 3)), "nothing")

@@ -1,9 +1,14 @@
-"""Where the robots meet again: travel times to keyframes, the choice that costs both least, and its agreement.
+"""Where the robots meet again: travel times to keyframes, the choice that costs both least, and its
+agreement.
 
-The choice is the paper's `kappa = argmin_q max(T_g,q, T_a,q)` over the ground robot's keyframes. Over a lossy link no
-protocol gives common knowledge, so all doubt is put on the robot that can afford it (planner.md 5.5): the aerial
-robot proposes, the ground robot acknowledges and is in doubt between the old and the new point until it hears the
-commit; the aerial robot switches on the acknowledgement alone and therefore always flies to a point that the ground
+The choice is the paper's `kappa = argmin_q max(T_g,q, T_a,q)` over the ground robot's keyframes. Over a
+lossy link no
+protocol gives common knowledge, so all doubt is put on the robot that can afford it (planner.md 5.5): the
+aerial
+robot proposes, the ground robot acknowledges and is in doubt between the old and the new point until it
+hears the
+commit; the aerial robot switches on the acknowledgement alone and therefore always flies to a point that
+the ground
 robot will visit.
 """
 
@@ -20,7 +25,7 @@ from onboard.planning.local_graph import FloatArray
 def choose_point(
     ground_s: FloatArray, aerial_s: FloatArray, ground_limit_s: float, aerial_limit_s: float
 ) -> int | None:
-    """Index of the keyframe with the least `max` of both travel times (N,) that both can afford; None if none is."""
+    """Index of the keyframe with the least `max` of both times (N,) that both can afford, None without one."""
     worst = np.maximum(ground_s, aerial_s)
     allowed = (ground_s <= ground_limit_s) & (aerial_s <= aerial_limit_s) & np.isfinite(worst)
     if not allowed.any():
@@ -30,14 +35,15 @@ def choose_point(
 
 @dataclass
 class Proposer:
-    """The aerial robot's side. `point` is where it will go: only ever one that the ground robot has acknowledged."""
+    """The aerial robot's side. `point` is where it goes: always one that the ground robot acknowledged."""
 
     point: FloatArray
     epoch: int = 0
     pending: tuple[int, FloatArray] | None = None
 
     def propose(self, point: FloatArray) -> tuple[int, FloatArray] | None:
-        """Start an agreement on a new point; None while one is under way or when it is the agreed one already."""
+        """Start an agreement on a new point; None while one is under way or when it is the agreed one
+        already."""
         if self.pending is not None or float(np.linalg.norm(point - self.point)) < 0.5:
             return None
         self.pending = (self.epoch + 1, np.asarray(point, np.float64))
@@ -54,7 +60,7 @@ class Proposer:
 
 @dataclass
 class Acceptor:
-    """The ground robot's side: the points that the aerial robot may be heading for, the newest last (at most two)."""
+    """The ground robot's side: points that the aerial robot may head for, the newest last (at most two)."""
 
     points: list[FloatArray]
     epochs: list[int] = field(default_factory=lambda: [0])

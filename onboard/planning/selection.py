@@ -1,4 +1,5 @@
-"""Choosing the best path of a local graph: volume seen per second, with a preference for going on (planner.md 2.4, 2.5)."""
+"""Choosing the best path of a local graph: volume seen per second, with a preference for going on
+(planner.md 2.4, 2.5)."""
 
 from __future__ import annotations
 
@@ -34,11 +35,12 @@ def turn_angles(path: FloatArray) -> FloatArray:
     legs = np.diff(path[:, :2], axis=0)
     legs = legs[np.einsum("ij,ij->i", legs, legs) > 1e-6]
     headings = np.arctan2(legs[:, 1], legs[:, 0])
-    return (np.diff(headings) + np.pi) % (2 * np.pi) - np.pi
+    return np.asarray((np.diff(headings) + np.pi) % (2 * np.pi) - np.pi)
 
 
 def direction_penalty(path: FloatArray, heading_rad: float) -> float:
-    """D in [0, 1]: 0 for going straight on, 1 for turning back, weighted to the path's beginning (planner.md 2.4)."""
+    """D in [0, 1]: 0 for going straight on, 1 for turning back, weighted to the path's beginning
+    (planner.md 2.4)."""
     legs = np.diff(path[:, :2], axis=0)
     lengths = np.linalg.norm(legs, axis=1)
     if lengths.sum() < 1e-6:
@@ -57,12 +59,13 @@ def rank(
     speed_m_s: float,
     settings: PlannerSettings,
 ) -> list[Choice]:
-    """The best choices among `vertices` of a graph whose gains are given, best first; empty if none is worth it."""
+    """The best choices among `vertices` with their gains, best first; empty if none is worth it."""
     rates = gains_m3 / (graph.distances_m[vertices] / speed_m_s + settings.start_up_s)
     worth = np.flatnonzero(gains_m3 >= settings.frontier_m3)
     best = worth[np.argsort(-rates[worth], kind="stable")][:CANDIDATES]
     choices = [
-        score_path(graph.path(int(vertices[i])), float(gains_m3[i]), heading_rad, speed_m_s, settings) for i in best
+        score_path(graph.path(int(vertices[i])), float(gains_m3[i]), heading_rad, speed_m_s, settings)
+        for i in best
     ]
     return sorted(choices, key=lambda choice: -choice.score)
 

@@ -1,9 +1,13 @@
 """Walkable floor of a dense map window: the 2.5D projection on which the ground robot plans.
 
-A window column may hold several floors (storeys, stairs over corridors). A cell of the lattice is one floor voxel
-(x, y, z) that the robot can reach from where it stands by steps of at most one voxel between neighbouring columns.
-Unknown columns are bridged at the level of their neighbours for a few cells only, because the beams of a LiDAR on
-a walking robot leave gaps between their rings on the floor, and never where free space is seen below that level.
+A window column may hold several floors (storeys, stairs over corridors). A cell of the lattice is one
+floor voxel
+(x, y, z) that the robot can reach from where it stands by steps of at most one voxel between neighbouring
+columns.
+Unknown columns are bridged at the level of their neighbours for a few cells only, because the beams of a
+LiDAR on
+a walking robot leave gaps between their rings on the floor, and never where free space is seen below that
+level.
 """
 
 from __future__ import annotations
@@ -16,16 +20,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.mapping.voxel_map import FREE, OCCUPIED, UNKNOWN
+from onboard.mapping.voxel_map import FREE, OCCUPIED
 
 I8 = NDArray[np.uint8]
 I32 = NDArray[np.int32]
 F32 = NDArray[np.float32]
 
 BODY_LOW, BODY_HIGH = 2, 4
-"""Voxels above the floor voxel that the body sweeps: below them a leg steps over, above them nothing collides."""
+"""Voxels above the floor voxel that the body sweeps: below them a leg steps over, above them nothing
+collides."""
 HARD_RADIUS2 = 4
-"""Squared cells around the body's centre that must be free of obstacles (half the body's width plus a margin)."""
+"""Squared cells around the body's centre that must be free of obstacles (half the body's width plus a
+margin)."""
 TURN_RADIUS2 = 9
 """Squared cells that must be free for the body to turn on the spot; tighter places cost `TIGHT_FACTOR`."""
 TIGHT_FACTOR = 8.0
@@ -39,7 +45,8 @@ class Terrain:
     """Result of `walkable`: shortest-path tree over floor cells of one window.
 
     `cost` (nx, ny, nz) float32, inf where not reachable, else cells of way weighted by clearance;
-    `weight` that factor of each cell; `parent` flat index of the previous cell, -1 at the root; `assumed` cells bridged, not seen.
+    `weight` that factor of each cell; `parent` flat index of the previous cell, -1 at the root; `assumed`
+    cells bridged, not seen.
     """
 
     lower: NDArray[np.int64]
@@ -58,7 +65,7 @@ class Terrain:
 
     def points(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Floor points (N, 3) in metres of window cells."""
-        return (cells + self.lower + np.array([0.5, 0.5, 0.5])) * self.voxel_m
+        return np.asarray((cells + self.lower + 0.5) * self.voxel_m, np.float64)
 
     def cell_path(self, cell: NDArray[np.int64]) -> NDArray[np.int64]:
         """(M, 3) cells from the root to `cell`."""
@@ -79,7 +86,8 @@ class Terrain:
         return self.cells[best] if squared[best] <= radius_m**2 else None
 
     def cell_at(self, points: NDArray[np.float64]) -> NDArray[np.int64] | None:
-        """(N, 3) reachable cells at floor points (N, 3), one voxel of level tolerance; None if one is missing."""
+        """(N, 3) reachable cells at floor points (N, 3), one voxel of level tolerance; None if one is
+        missing."""
         cells = np.floor(points / self.voxel_m).astype(np.int64) - self.lower
         if np.any(cells < 1) or np.any(cells >= np.array(self.cost.shape) - 1):
             return None
@@ -93,10 +101,12 @@ class Terrain:
 
     def shortcut(self, path: NDArray[np.int64]) -> NDArray[np.int64]:
         """The same path with every detour replaced by a straight walk that costs no more."""
-        return path[_shortcut(self.cost, self.weight, path, 30)]
+        return np.asarray(path[_shortcut(self.cost, self.weight, path, 30)])
 
 
-def walkable(window: I8, lower: NDArray[np.int64], voxel_m: float, root: NDArray[np.int64], bridge: int = 4) -> Terrain:
+def walkable(
+    window: I8, lower: NDArray[np.int64], voxel_m: float, root: NDArray[np.int64], bridge: int = 4
+) -> Terrain:
     """Grow the lattice from the cell `root` of a window (nx, ny, nz) of FREE / OCCUPIED / UNKNOWN.
 
     `bridge` is the number of unknown columns that may be assumed to continue the floor.
@@ -144,7 +154,7 @@ def _next_level(window: I8, x: int, y: int, z: int) -> tuple[int, bool]:
 
 @njit(cache=True, nogil=True)
 def _standable(window: I8, x: int, y: int, z: int) -> float:
-    """Cost factor of standing with the body's centre at a floor cell: inf if the body would touch or hang over."""
+    """Cost factor of standing at a floor cell: inf if the body would touch something or hang over."""
     nearest2 = (SOFT_CELLS + 1) ** 2
     for dx in range(-SOFT_CELLS, SOFT_CELLS + 1):
         for dy in range(-SOFT_CELLS, SOFT_CELLS + 1):
@@ -156,7 +166,11 @@ def _standable(window: I8, x: int, y: int, z: int) -> float:
                 continue
             for k in range(BODY_LOW, BODY_HIGH + 1):
                 # a floor that rises away from the body is a slope, not an obstacle
-                if z + k < window.shape[2] and window[i, j, z + k] == OCCUPIED and not _rises(window, i, j, z, far2):
+                if (
+                    z + k < window.shape[2]
+                    and window[i, j, z + k] == OCCUPIED
+                    and not _rises(window, i, j, z, far2)
+                ):
                     nearest2 = far2
                     break
             if far2 <= HARD_RADIUS2 and _drops(window, i, j, z):
@@ -173,7 +187,11 @@ def _rises(window: I8, x: int, y: int, z: int, far2: int) -> bool:
     """Whether column (x, y) holds a floor that a slope from level z may have reached over that distance."""
     highest = 1 + int(0.75 * np.sqrt(far2) + 0.5)
     for level in range(z + BODY_LOW, min(z + highest, window.shape[2] - BODY_HIGH - 2) + 1):
-        if window[x, y, level] == OCCUPIED and window[x, y, level + 1] != OCCUPIED and window[x, y, level + 2] != OCCUPIED:
+        if (
+            window[x, y, level] == OCCUPIED
+            and window[x, y, level + 1] != OCCUPIED
+            and window[x, y, level + 2] != OCCUPIED
+        ):
             return True
     return False
 
@@ -183,12 +201,12 @@ def _drops(window: I8, x: int, y: int, z: int) -> bool:
     """Whether free space is known where the floor next to level z should be."""
     if z < 2:
         return False
-    return window[x, y, z] == FREE and window[x, y, z - 1] == FREE and window[x, y, z - 2] == FREE
+    return bool(window[x, y, z] == FREE and window[x, y, z - 1] == FREE and window[x, y, z - 2] == FREE)
 
 
 @njit(cache=True, nogil=True)
 def _too_steep(parent: I32, shape: tuple[int, int, int], flat: int, x: int, y: int, z: int) -> bool:
-    """Whether the last metre of the path to (x, y, z) climbs more than stairs do (4 voxels over 5 columns)."""
+    """Whether the last metre of the path to (x, y, z) climbs more than stairs (4 voxels over 5 columns)."""
     plane = shape[1] * shape[2]
     for _ in range(5):
         if parent[flat] < 0:
@@ -244,7 +262,7 @@ def _level_of(cost: F32, x: int, y: int, z: int) -> int:
 
 @njit(cache=True, nogil=True)
 def _line_cost(cost: F32, weight: F32, start: NDArray[np.int64], end: NDArray[np.int64]) -> float:
-    """Weighted cells of the straight walk, inf if a column under it holds no reachable cell near its level."""
+    """Weighted cells of the straight walk, inf if a column under it holds no reachable cell at its level."""
     steps = 2 * max(abs(end[0] - start[0]), abs(end[1] - start[1]))
     if steps == 0:
         return 0.0 if start[2] == end[2] else np.inf
@@ -269,7 +287,10 @@ def _shortcut(cost: F32, weight: F32, path: NDArray[np.int64], reach: int) -> ND
         here = kept[-1]
         chosen = here + 1
         for there in range(min(here + reach, len(path) - 1), here + 1, -1):
-            along = cost[path[there, 0], path[there, 1], path[there, 2]] - cost[path[here, 0], path[here, 1], path[here, 2]]
+            along = (
+                cost[path[there, 0], path[there, 1], path[there, 2]]
+                - cost[path[here, 0], path[here, 1], path[here, 2]]
+            )
             if _line_cost(cost, weight, path[here], path[there]) <= along * 1.01 + 1e-3:
                 chosen = there
                 break

@@ -1,4 +1,5 @@
-"""The ground robot's role: carry, decide when to release, hand over map and target, agree on where to meet."""
+"""The ground robot's role: carry, decide when to release, hand over map and target, agree on where to
+meet."""
 
 from __future__ import annotations
 
@@ -9,8 +10,8 @@ from onboard.core.geometry import Pose
 from onboard.mission import FLYING, Facts, Phase
 from onboard.planning.body import Body
 from onboard.planning.deployment import TAKE_OFF_M, AerialOutlook, Decision, Trigger, aerial_outlook
-from onboard.planning.plan import Plan
 from onboard.planning.local_graph import FloatArray
+from onboard.planning.plan import Plan
 from onboard.planning.regroup import Acceptor, thinned
 from onboard.robot.roles import Team, vector
 from onboard.sharing.messages import Ack, Commit, Message, Propose, Release, Target, Times, TravelTime
@@ -24,7 +25,7 @@ DOUBT_WAIT_S = 20.0
 
 
 class Carrier:
-    """Role of a ground robot with any number of aerial robots aboard; they are released one after the other."""
+    """Role of a ground robot with any number of aerial robots aboard, released one after the other."""
 
     release = False
 
@@ -74,7 +75,13 @@ class Carrier:
         take_off = pose.position + np.array([0.0, 0.0, team.settings.size_m[2] + TAKE_OFF_M])
         settings = team.config.deployment
         self._outlook = team.profile.timed(
-            "outlook", aerial_outlook, team.explorer.map, self._virtual, take_off, self._rng, settings.launch_s
+            "outlook",
+            aerial_outlook,
+            team.explorer.map,
+            self._virtual,
+            take_off,
+            self._rng,
+            settings.launch_s,
         )
         ground = self._ground_gain(plan, settings.rule)
         self._decision = self._trigger.evaluate(ground, self._outlook, team.remaining(now_s), pose)
@@ -113,10 +120,17 @@ class Carrier:
         assert self._outlook is not None
         targets = [vector(target) for target in self._outlook.targets]
         team.link.post(Target(targets[0], tuple(targets[1:])), self._deployed.id)
-        team.log("deploy", deployed=self._deployed.name, position=vector(place), target=targets[0], keyframes_from=first)
+        team.log(
+            "deploy",
+            deployed=self._deployed.name,
+            position=vector(place),
+            target=targets[0],
+            keyframes_from=first,
+        )
 
     def _hand_over(self, now_s: float, pose: Pose) -> bool:
-        """Wait for the map to be shared, open the bracket, wait for the aerial robot to get clear; True when done."""
+        """Wait for the map to be shared, open the bracket, wait for the aerial robot to get clear; True
+        when done."""
         assert self._deployed is not None
         link, peer = self._team.link, self._deployed.id
         self.release = False
@@ -131,7 +145,10 @@ class Carrier:
         flying = status is not None and Phase(status.phase) in FLYING
         if not flying:
             link.post(Release(vector(pose.position)), peer)
-        away = status is not None and float(np.linalg.norm(np.array(status.position_m) - pose.position)) > CLEAR_M
+        away = (
+            status is not None
+            and float(np.linalg.norm(np.array(status.position_m) - pose.position)) > CLEAR_M
+        )
         if (flying and away) or now_s - self._released_s > CLEAR_TIMEOUT_S:
             self._aboard = self._aboard[1:]
             self._prepare_next()
@@ -142,7 +159,9 @@ class Carrier:
         match message:
             case Propose():
                 point = np.array(message.position_m)
-                times = self._team.explorer.times_to(pose.position, (point - self._team.explorer.body.mount)[None])
+                times = self._team.explorer.times_to(
+                    pose.position, (point - self._team.explorer.body.mount)[None]
+                )
                 feasible = bool(times[0] * 1.15 + 20.0 < self._team.remaining(now_s))
                 if self._acceptor.proposed(message.epoch, point, feasible):
                     self._team.link.post(Ack(message.epoch), source)
@@ -156,12 +175,16 @@ class Carrier:
                 pass
 
     def tick(self, now_s: float, phase: Phase, pose: Pose) -> None:
-        """Offer travel times to the own keyframes, and after a fruitless wait try the other doubtful point."""
+        """Offer travel times to the own keyframes, and after a fruitless wait try the other doubtful
+        point."""
         mission = self._team.config.mission
         if phase == Phase.EXPLORING and now_s - self._times_sent_s > mission.regroup_period_s:
             self._times_sent_s = now_s
             for peer in self._team.peers:
-                if self._team.link.in_contact(peer.id, now_s) and self._team.peer_phase(peer.id) == Phase.EXPLORING:
+                if (
+                    self._team.link.in_contact(peer.id, now_s)
+                    and self._team.peer_phase(peer.id) == Phase.EXPLORING
+                ):
                     self._team.link.post(self._times(pose), peer.id)
         if phase != Phase.WAITING or not self._acceptor.in_doubt:
             self._doubt_since_s = now_s

@@ -13,9 +13,9 @@ from onboard.core.lidar import Scan
 from onboard.mission import Facts, Phase, next_phase
 from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
-from onboard.planning.plan import Plan
 from onboard.planning.follower import HALT, Velocity
 from onboard.planning.local_graph import FloatArray
+from onboard.planning.plan import Plan
 from onboard.robot.carrier import Carrier
 from onboard.robot.flyer import Flyer
 from onboard.robot.interface import Inputs, Log, Outputs, Profile
@@ -26,7 +26,8 @@ from onboard.sharing import LinkCore
 from onboard.sharing.messages import Status
 
 START_DISC_M = 3.0
-"""The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets it there."""
+"""The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets
+it there."""
 RETURN_CHECK_S = 1.0
 IDLE_CYCLES = 3
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
@@ -162,7 +163,9 @@ class RobotCore:
             return False
         radius = self.team.config.mission.regroup_radius_m
         near = float(np.linalg.norm(pose.position - target)) <= radius
-        return near and (self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose)))
+        return near and (
+            self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose))
+        )
 
     def _move(self, now_s: float, pose: Pose) -> Velocity:
         if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.WAITING, Phase.DONE):
@@ -188,7 +191,8 @@ class RobotCore:
         return plan
 
     def _plan_return(self, pose: Pose) -> Plan | None:
-        """Way to the regrouping point; an aerial robot stops short of it and leaves the place itself to the other."""
+        """Way to the regrouping point; an aerial robot stops short of it and leaves the place itself to
+        the other."""
         target = self.explorer.budget.back_to
         assert target is not None
         plan = self.explorer.go_to(pose.position, target)

@@ -7,8 +7,8 @@ import numpy as np
 from onboard.core.geometry import Pose
 from onboard.mission import Facts, Phase
 from onboard.planning.deployment import TAKE_OFF_M
-from onboard.planning.plan import Plan
 from onboard.planning.local_graph import FloatArray
+from onboard.planning.plan import Plan
 from onboard.planning.regroup import Proposer, choose_point
 from onboard.robot.roles import Team, vector
 from onboard.sharing.messages import Ack, Commit, Message, Propose, Release, Target, Times
@@ -39,7 +39,9 @@ class Flyer:
         return None if self._proposer is None else self._proposer.point
 
     def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
-        climbed = self._climb_to is not None and bool(pose.position[2] > self._climb_to[2] - CLIMB_TOLERANCE_M)
+        climbed = self._climb_to is not None and bool(
+            pose.position[2] > self._climb_to[2] - CLIMB_TOLERANCE_M
+        )
         return Facts(
             released=self._released,
             peer_clear=phase == Phase.TAKING_OFF and climbed,
@@ -96,7 +98,8 @@ class Flyer:
             self._send(now_s, source)
 
     def _send(self, now_s: float, to: int) -> None:
-        assert self._proposer is not None and self._proposer.pending is not None
+        assert self._proposer is not None
+        assert self._proposer.pending is not None
         epoch, point = self._proposer.pending
         self._team.link.post(Propose(epoch, vector(point), self._team.config.mission.duration_s), to)
         self._proposed_s = now_s
@@ -112,7 +115,8 @@ class Flyer:
             self._proposed_s = now_s
 
     def plan(self, now_s: float, phase: Phase, pose: Pose) -> Plan | None:
-        """Climb after the release, then fly to the target that the carrier chose, or to its next alternative."""
+        """Climb after the release, then fly to the target that the carrier chose, or to its next
+        alternative."""
         if phase == Phase.TAKING_OFF and self._climb_to is not None:
             return Plan(np.stack([pose.position, self._climb_to]), "take-off")
         if phase != Phase.EXPLORING:

@@ -16,7 +16,7 @@ Log = Callable[..., None]
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Sensor readings of one step. `pose`: reference point of the body (ground: on the floor) in the map frame."""
+    """Sensor readings of one step. `pose`: reference point of the body (ground: on the floor), map frame."""
 
     now_s: float
     pose: Pose

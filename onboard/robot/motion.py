@@ -1,4 +1,5 @@
-"""Following the current plan: when to plan again, when to stop, and noticing that the robot does not get on."""
+"""Following the current plan: when to plan again, when to stop, and noticing that the robot does not get
+on."""
 
 from __future__ import annotations
 
@@ -9,9 +10,9 @@ import numpy as np
 from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
 from onboard.planning.explorer import Explorer
-from onboard.planning.plan import Plan, remaining_path
 from onboard.planning.follower import HALT, Velocity, finished, follow, stopping_path
 from onboard.planning.local_graph import FloatArray
+from onboard.planning.plan import Plan, remaining_path
 
 MONITOR_S = 0.5
 MONITOR_AHEAD_M = 3.0

@@ -1,4 +1,5 @@
-"""What a robot does for the team besides exploring. A role answers questions of the core and handles messages."""
+"""What a robot does for the team besides exploring. A role answers questions of the core and handles
+messages."""
 
 from __future__ import annotations
 
@@ -11,13 +12,12 @@ from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.mission import AT_REGROUP, Facts, Phase
 from onboard.planning.explorer import Explorer
-from onboard.planning.plan import Plan
 from onboard.planning.local_graph import FloatArray
+from onboard.planning.plan import Plan
 from onboard.robot.interface import Log, Profile
 from onboard.robot.sensing import Sensing
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import Message, Vector
-
 
 PEER_MARGIN_M = 0.3
 
@@ -80,7 +80,8 @@ class Team:
         return True
 
     def remember_trail(self, places: list[FloatArray]) -> None:
-        """Peers' keyframe positions (3,) are ways that an aerial robot can take too: join them to its global graph."""
+        """Peers' keyframe positions (3,) are ways that an aerial robot can take too: join them to its
+        global graph."""
         self._trail += places
         graph = self.explorer.graph
         if self.settings.kind != "aerial" or graph is None or len(self._trail) < 2:
@@ -140,7 +141,9 @@ class Role(Protocol):
         ...
 
 
-def inside_sphere(scan: Scan, centre: FloatArray, radius_m: float) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
+def inside_sphere(
+    scan: Scan, centre: FloatArray, radius_m: float
+) -> np.ndarray[tuple[int, int], np.dtype[np.bool_]]:
     """Pixels (H, W) whose return lies within `radius_m` of a point (3,) of the sensor frame."""
     along = scan.model.directions @ centre.astype(np.float32)
     ranges = np.where(np.isfinite(scan.ranges), scan.ranges, np.float32(0.0))

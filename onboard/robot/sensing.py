@@ -13,7 +13,8 @@ from onboard.mapping.voxel_map import PEER, VoxelMap
 from onboard.planning.local_graph import FloatArray
 
 CLEARING_M = 1.25
-"""Rays without return are drawn this much longer than the map's range, so that they clear and never occupy."""
+"""Rays without return are drawn this much longer than the map's range, so that they clear and never
+occupy."""
 
 
 class Sensing:
@@ -42,7 +43,9 @@ class Sensing:
         pose = self.sensor_pose(body)
         moved = float(np.linalg.norm(pose.position - self._last_keyframe.position))
         turned = rotation_angle(pose.quaternion, self._last_keyframe.quaternion)
-        return moved > self._settings.keyframes.translation_m or turned > self._settings.keyframes.rotation_rad
+        return (
+            moved > self._settings.keyframes.translation_m or turned > self._settings.keyframes.rotation_rad
+        )
 
     def make_keyframe(self, scan: Scan, body: Pose) -> tuple[bytes, FloatArray]:
         """Encode a scan; its bytes and the LiDAR position (3,) that they carry."""

@@ -90,7 +90,7 @@ class _Builder:
         self.solids += flights.build()
         middle = grid((bay.x0 + bay.x1) / 2)
         for level in range(bay.bottom, bay.top + 1):
-            self._opening(middle - 1.2, middle + 1.2, bay.side, level * STOREY_M, 0.0, 2.8)
+            self._opening(bay.side, middle, level * STOREY_M, (0.0, 2.8))
 
     def _atrium(self, bay: Bay) -> None:
         near, far = self.plan.strip(bay.side)
@@ -102,7 +102,7 @@ class _Builder:
             for k in range(3):
                 x = grid(bay.x0 + (k + 0.5) * pitch)
                 foot = 0.0 if level == 0 else 1.2
-                self._opening(x - 1.2, x + 1.2, bay.side, level * STOREY_M, foot, 2.6)
+                self._opening(bay.side, x, level * STOREY_M, (foot, 2.6))
         sills(self.plan, self.rng, self.blocks, bay)
         self._pillars(bay, min(near, far), max(near, far))
 
@@ -112,11 +112,13 @@ class _Builder:
                 px, py = grid(bay.x0 + x * (bay.x1 - bay.x0)), grid(y0 + y * (y1 - y0))
                 self.blocks.fill((px - 0.4, py - 0.4, 0.0), (px + 0.4, py + 0.4, 3 * STOREY_M))
 
-    def _opening(self, x0: float, x1: float, side: int, floor: float, foot: float, head: float) -> None:
-        """A hole through the wall between the corridor and a strip."""
+    def _opening(self, side: int, x: float, floor: float, span: tuple[float, float]) -> None:
+        """A hole 2.4 m wide through the corridor's wall, from and to `span` metres above a floor."""
         near, _ = self.plan.strip(side)
         y0, y1 = (near, near + WALL_M) if side == 0 else (near - WALL_M, near)
-        self.blocks.carve((grid(x0), grid(y0), floor + foot), (grid(x1), grid(y1), floor + head))
+        self.blocks.carve(
+            (grid(x - 1.2), grid(y0), floor + span[0]), (grid(x + 1.2), grid(y1), floor + span[1])
+        )
 
     def _obstacle(self) -> None:
         if self.plan.obstacle == "corridor":

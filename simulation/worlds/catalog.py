@@ -46,5 +46,6 @@ def world_by_name(name_or_path: str, seed: int, start: tuple[float, float, float
     if path.suffix.lower() in SUFFIXES or path.exists():
         return load_world(path, start)
     raise InputError(
-        f"unknown world '{name_or_path}'; known: {', '.join(GENERATORS)}, or a mesh file ({', '.join(SUFFIXES)})"
+        f"unknown world '{name_or_path}'; known: {', '.join(GENERATORS)}, "
+        f"or a mesh file ({', '.join(SUFFIXES)})"
     )

@@ -46,9 +46,9 @@ class _Carver:
         self.floors = 0.03 * smooth_noise(self.rng, shape[:2], 1.8 / CELL_M)
 
     def passage(self, points: Floats, radii: Floats, squash: float = 1.0) -> None:
-        """Air within `radii` (N,) of the axis over floor points (N, 3), heights times `squash`, above the floor.
+        """Air within `radii` (N,) of an axis over floor points (N, 3), heights times `squash`.
 
-        The floor height is that of the nearest point of the line in plan, so that no ledge crosses the way.
+        The floor lies at the height of the line's nearest point in plan, so that no ledge crosses the way.
         """
         reach = float(radii.max()) + 1.5
         part = self.rock.box(points.min(axis=0) - reach, points.max(axis=0) + reach)
@@ -131,17 +131,17 @@ def generate_cave(seed: int, rng: np.random.Generator) -> World:
     lower = np.array([0.0, 0.0, BOTTOM_M])
     rock = Rock.solid(lower, np.array([*EXTENT_M, TOP_M]), CELL_M)
     carver = _Carver(rng, rock)
-    middle = _storey(rng, np.empty((0, 2)), 13, (0.0, 5.0), 4, chambers=5)
+    middle = _storey(rng, np.empty((0, 2)), 13, heights=(0.0, 5.0), loops=4, chambers=5)
     halls = np.flatnonzero(middle.chambers)
-    up, down = halls[1:4], halls[-3:]
-    upper = _storey(rng, middle.nodes[up, :2], 10, (13.5, 16.0), 2, chambers=3)
-    beside = np.array([_beside(middle, int(k)) for k in down])
-    lowest = _storey(rng, beside, 10, (-11.0, -9.5), 2, chambers=3)
+    risen, sunken = halls[1:4], halls[-3:]
+    upper = _storey(rng, middle.nodes[risen, :2], 10, heights=(13.5, 16.0), loops=2, chambers=3)
+    beside = np.array([_beside(middle, int(k)) for k in sunken])
+    lowest = _storey(rng, beside, 10, heights=(-11.0, -9.5), loops=2, chambers=3)
     for galleries in (middle, upper, lowest):
         carver.carve(galleries)
-    for k, hall in enumerate(up):
+    for k, hall in enumerate(risen):
         _chimney(carver, middle.nodes[hall] + up(2.0), upper.nodes[k])
-    for k, hall in enumerate(down):
+    for k, hall in enumerate(sunken):
         _window(carver, middle.nodes[hall], float(middle.chambers[hall]), lowest.nodes[k])
     mesh = rock.mesh()
     vertices = mesh.vertices.astype(np.float32)
@@ -155,6 +155,7 @@ def _storey(
     rng: np.random.Generator,
     given: Floats,
     count: int,
+    *,
     heights: tuple[float, float],
     loops: int,
     chambers: int,

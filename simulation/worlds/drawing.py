@@ -33,7 +33,7 @@ def draw_world(world: World, path: Path) -> None:
     figure = Figure(figsize=(WIDTH_IN, sum(heights) + _TITLE_IN), layout="constrained")
     FigureCanvasAgg(figure)
     figure.suptitle(_title(world, survey), fontsize=15)
-    above, below = figure.subfigures(2, 1, height_ratios=heights)
+    above, below = np.array(figure.subfigures(2, 1, height_ratios=heights), dtype=object)
     _draw_plans(above, world, survey, plans)
     _draw_sections(below, world, survey, sections)
     figure.savefig(path, dpi=110)
@@ -95,9 +95,8 @@ def _mark_start(ax: Axes, world: World) -> None:
     dx, dy = reach * np.cos(world.start_yaw_rad), reach * np.sin(world.start_yaw_rad)
     ax.annotate("", (x + dx, y + dy), (x, y), arrowprops={"arrowstyle": "-|>", "color": START, "lw": 2})
     ax.plot([x], [y], "o", color=START, markersize=7)
-    ax.annotate(
-        "start", (x, y), xytext=(0, 9), textcoords="offset points", color=START, weight="bold", ha="center"
-    )
+    label = ax.annotate("start", (x, y), xytext=(0, 10), textcoords="offset points", ha="center")
+    label.set(color=START, weight="bold", bbox={"pad": 0.5, "fc": "white", "ec": "none", "alpha": 0.7})
 
 
 def _scale_bar(ax: Axes, x: float, y: float, width: float) -> None:

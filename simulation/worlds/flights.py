@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 
-from simulation.worlds.blocks import Blocks
+from simulation.worlds.blocks import Blocks, Corner
 from simulation.worlds.floorplan import CLEAR_M, STOREY_M, WALL_M, Bay
 from simulation.worlds.solids import Mesh, hull
+
+Span = tuple[float, float]
 
 RISERS = 10
 """Per flight: 1.7 m in steps of 0.17 m."""
@@ -38,25 +41,23 @@ class Flights:
 
     def build(self) -> list[Mesh]:
         """Carve the shaft and add landings and flights; returns the sloping solids, if any."""
-        bay = self.bay
-        self._box(
-            0.0, 2.0, 0.0, self.depth_m, bay.bottom * STOREY_M, bay.top * STOREY_M + CLEAR_M, carve=True
-        )
+        bay, top, front = self.bay, self.bay.top * STOREY_M, (0.0, LANDING_M)
+        shaft = (bay.bottom * STOREY_M, top + CLEAR_M)
+        self._paint(self.blocks.carve, (bay.x0, bay.x1), (0.0, self.depth_m), shaft)
         for level in range(bay.bottom + 1, bay.top + 1):
-            self._box(0.0, 2.0, 0.0, LANDING_M, level * STOREY_M - WALL_M, level * STOREY_M)
-        top = bay.top * STOREY_M
-        edge = LANDING_M - 0.4
-        self._box(0.0, 1.0, edge, LANDING_M, top, top + PARAPET_M)
+            self._box((0.0, 2.0), front, (level * STOREY_M - WALL_M, level * STOREY_M))
+        self._box((0.0, 1.0), (LANDING_M - 0.4, LANDING_M), (top, top + PARAPET_M))
         slopes = [solid for level in range(bay.bottom, bay.top) for solid in self._storey(level)]
-        inner = (self._lane(1.0) - WALL_M / 2, self._lane(1.0) + WALL_M / 2)
-        self._solid(*inner, LANDING_M, LANDING_M + self.length_m, bay.bottom * STOREY_M, top + PARAPET_M)
+        core = (self._lane(1.0) - WALL_M / 2, self._lane(1.0) + WALL_M / 2)
+        along = (LANDING_M, LANDING_M + self.length_m)
+        self._paint(self.blocks.fill, core, along, (bay.bottom * STOREY_M, top + PARAPET_M))
         return slopes
 
     def _storey(self, level: int) -> list[Mesh]:
         floor, half = level * STOREY_M, level * STOREY_M + STOREY_M / 2
         lowest = floor if level == self.bay.bottom else None
         end = LANDING_M + self.length_m
-        self._box(0.0, 2.0, end, self.depth_m, half - WALL_M if lowest is None else floor, half)
+        self._box((0.0, 2.0), (end, self.depth_m), (half - WALL_M if lowest is None else floor, half))
         up = self._flight(0.0, LANDING_M, 1, floor, lowest)
         return up + self._flight(1.0, end, -1, half, lowest)
 
@@ -67,7 +68,7 @@ class Flights:
             height = foot + (tread + 1) * STOREY_M / 2 / RISERS
             bottom = ground if ground is not None else height - _UNDERSIDE_M
             near, far = v + step * tread * RUN_M, v + step * (tread + 1) * RUN_M
-            self._box(lane, lane + 1.0, min(near, far), max(near, far), bottom, height)
+            self._box((lane, lane + 1.0), (near, far), (bottom, height))
         return []
 
     def _slope(self, lane: float, v: float, step: int, foot: float, ground: float | None) -> Mesh:
@@ -89,14 +90,10 @@ class Flights:
         share = 1 - lane / 2 if self.mirrored else lane / 2
         return self.bay.x0 + share * (self.bay.x1 - self.bay.x0)
 
-    def _box(
-        self, lane0: float, lane1: float, v0: float, v1: float, z0: float, z1: float, carve: bool = False
-    ) -> None:
-        self._solid(self._lane(lane0), self._lane(lane1), v0, v1, z0, z1, carve)
+    def _box(self, lanes: Span, depth: Span, height: Span) -> None:
+        """Fill between two lane borders."""
+        self._paint(self.blocks.fill, (self._lane(lanes[0]), self._lane(lanes[1])), depth, height)
 
-    def _solid(
-        self, x0: float, x1: float, v0: float, v1: float, z0: float, z1: float, carve: bool = False
-    ) -> None:
-        y0, y1 = self.front_y + self.inward * v0, self.front_y + self.inward * v1
-        paint = self.blocks.carve if carve else self.blocks.fill
-        paint((min(x0, x1), min(y0, y1), z0), (max(x0, x1), max(y0, y1), z1))
+    def _paint(self, paint: Callable[[Corner, Corner], None], x: Span, depth: Span, height: Span) -> None:
+        y = [self.front_y + self.inward * v for v in depth]
+        paint((min(x), min(y), height[0]), (max(x), max(y), height[1]))

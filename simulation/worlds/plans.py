@@ -89,9 +89,10 @@ class Survey:
 
     @cached_property
     def _floor_heights(self) -> Floats:
-        """(N,) heights in metres of all floor cells."""
+        """(N,) heights in metres of the floors below floor cells."""
         nodes = self.voxels.nodes(np.argwhere(self.floors))
-        return nodes[:, 2] - self._look(nodes, np.array([0.0, 0.0, -1.0]))
+        heights = nodes[:, 2] - self._look(nodes, np.array([0.0, 0.0, -1.0]))
+        return np.asarray(heights[np.isfinite(heights)])
 
     def _levels(self) -> list[float]:
         """Heights of floors that hold most of the floor area; empty for natural ground."""
@@ -146,12 +147,15 @@ class Survey:
         floor = np.full(where.shape, np.nan)
         eyes = self.voxels.nodes(np.column_stack([np.argwhere(where), layers[where]]))
         floor[where] = eyes[:, 2] - self._look(eyes, np.array([0.0, 0.0, -1.0]))
+        floor[np.isinf(floor)] = np.nan
         return floor
 
     def sections(self) -> list[Section]:
         """Lengthwise through the highest air, crosswise where most different floor heights show."""
         height = self.air.sum(axis=2) * self.voxels.voxel_m
-        along = int(np.argmax((height + 3 * np.maximum(self._tallest() - 4.0, 0)).sum(axis=0)))
+        score = (height + 3 * np.maximum(self._tallest() - 4.0, 0)).sum(axis=0)
+        best = np.flatnonzero(score >= 0.97 * score.max())
+        along = int(best[len(best) // 2])
         steps = self.floors.any(axis=1).sum(axis=1) + 1e-6 * self.air.sum(axis=(1, 2))
         return [self._section(1, along), self._section(0, int(np.argmax(steps)))]
 

@@ -61,9 +61,7 @@ class StartFinder:
         if headroom < HEADROOM_M:
             raise InputError(f"{text} has {headroom:.1f} m of headroom; {HEADROOM_M:g} m are needed")
         if found.covered[0] < COVERED_SHARE:
-            raise InputError(
-                f"{text} lies in the open: {found.covered[0]:.0%} of the rays around it hit something"
-            )
+            raise InputError(f"{text} lies in the open: {found.covered[0]:.0%} of the rays around it hit")
         if found.radius_m[0] < STANDING_RADIUS_M:
             raise InputError(
                 f"{text} is {found.radius_m[0]:.1f} m from a wall; {STANDING_RADIUS_M} m are needed"
@@ -71,7 +69,7 @@ class StartFinder:
         return floor
 
     def find(self) -> Floats:
-        """The roomiest point of the lowest floor in the largest inside. Raises InputError if there is none."""
+        """The roomiest point of the lowest floor of the largest interior; InputError if there is none."""
         floors = self._judge(self._even(self._floors()))
         good = floors.only((floors.covered >= INSIDE_SHARE) & (floors.radius_m >= FREE_RADIUS_M))
         if not len(good.points):
