@@ -46,6 +46,8 @@ class Facts:
     """The deployed robot is far enough from its carrier (carrier), or the climb is done (aerial)."""
     nothing_left: bool = False
     """No path is worth its time or fits the budget."""
+    more: bool = False
+    """There is something to explore again, such as what a peer's keyframes opened up."""
     must_return: bool = False
     """The way back needs all the time that is left."""
     arrived: bool = False
@@ -72,10 +74,18 @@ def _exploring(facts: Facts) -> Phase:
     return Phase.RETURNING if facts.nothing_left or facts.must_return else Phase.EXPLORING
 
 
+def _returning(facts: Facts) -> Phase:
+    if facts.more:
+        return Phase.EXPLORING
+    return Phase.WAITING if facts.arrived else Phase.RETURNING
+
+
 def _waiting(facts: Facts) -> Phase:
-    if not facts.arrived:
-        return Phase.RETURNING
-    return Phase.DONE if facts.peers_arrived and facts.shared and facts.complete else Phase.WAITING
+    if facts.peers_arrived and facts.shared and facts.complete and facts.arrived:
+        return Phase.DONE
+    if facts.more:
+        return Phase.EXPLORING
+    return Phase.WAITING if facts.arrived else Phase.RETURNING
 
 
 _RULES: dict[Phase, Callable[[Facts], Phase]] = {
@@ -84,6 +94,6 @@ _RULES: dict[Phase, Callable[[Facts], Phase]] = {
     Phase.DEPLOYING: lambda facts: Phase.EXPLORING if facts.peer_clear else Phase.DEPLOYING,
     Phase.TAKING_OFF: lambda facts: Phase.EXPLORING if facts.peer_clear else Phase.TAKING_OFF,
     Phase.EXPLORING: _exploring,
-    Phase.RETURNING: lambda facts: Phase.WAITING if facts.arrived else Phase.RETURNING,
+    Phase.RETURNING: _returning,
     Phase.WAITING: _waiting,
 }

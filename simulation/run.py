@@ -55,7 +55,7 @@ def simulate(
     KeyboardInterrupt goes on. Raises InputError for a start where a robot does not fit.
     """
     started = time.perf_counter()
-    config = select_team(config, team)
+    config = within_world(select_team(config, team), world)
     scene = Scene(world.vertices, world.triangles)
     truth = reachable(config, world)
     with EventLog(out / "events.jsonl") as events:
@@ -77,6 +77,14 @@ def select_team(config: Config, team: str) -> Config:
     if not robots:
         raise ConfigError(f"no {team} robot in the configuration")
     return config.model_copy(update={"robots": robots})
+
+
+def within_world(config: Config, world: World) -> Config:
+    """The configuration with the world's bounds as the area to explore, unless it names one."""
+    if config.mission.area_m is not None:
+        return config
+    area = (vector(world.lower), vector(world.upper))
+    return config.model_copy(update={"mission": config.mission.model_copy(update={"area_m": area})})
 
 
 def reachable(config: Config, world: World) -> Truth:

@@ -30,7 +30,9 @@ PRODUCTS = (
     "map.ply",
     "map.png",
     "metrics.json",
+    "paths.json",
     "report.html",
+    "timeline.json",
     "trajectory.txt",
 )
 """What a run leaves behind, and what `--force` therefore may replace."""

@@ -114,6 +114,8 @@ class MissionSettings(Section):
     """The clock of the mission and the regrouping rules."""
 
     duration_s: Positive = 900.0
+    area_m: tuple[Vector, Vector] | None = None
+    """Lower and upper corner of the box to explore; nobody flies out of it or gains from what lies outside."""
     regroup_radius_m: Positive = 3.0
     contact_timeout_s: Positive = 3.0
     regroup_period_s: Positive = 15.0

@@ -21,6 +21,10 @@ COMFORT_M = 1.0
 """Clearance below which an edge costs more, so that paths keep to the middle of a passage."""
 
 
+Area = tuple[tuple[float, float, float], tuple[float, float, float]]
+"""Lower and upper corner of a box in metres."""
+
+
 @dataclass(frozen=True)
 class AirSpace:
     """Where the centre of the body may be: `clearance` (nx, ny, nz) float32 metres, 0 = not allowed."""
@@ -39,9 +43,13 @@ class AirSpace:
 
 
 def air_space(
-    voxel_map: VoxelMap, centre: FloatArray, settings: PlannerSettings, body_m: tuple[float, ...]
+    voxel_map: VoxelMap,
+    centre: FloatArray,
+    settings: PlannerSettings,
+    body_m: tuple[float, ...],
+    area_m: Area | None = None,
 ) -> AirSpace:
-    """Allowed space of a body of size `body_m` in the planning window around `centre` (3,)."""
+    """Allowed space of a body of size `body_m` in the planning window around `centre` (3,), inside the area."""
     voxel_m = voxel_map.voxel_m
     shape = np.ceil(np.array(settings.window_m) / voxel_m).astype(np.int64)
     lower = np.floor(centre / voxel_m).astype(np.int64) - shape // 2
@@ -50,7 +58,19 @@ def air_space(
     # half a voxel: the surface lies anywhere inside the occupied voxel to whose centre is measured
     required = max(body_m) / 2 + settings.clearance_m + voxel_m / 2
     _forbid(clearance, window.status, np.float32(required))
+    if area_m is not None:
+        _keep_inside(clearance, lower, voxel_m, area_m)
     return AirSpace(lower, voxel_m, clearance)
+
+
+def _keep_inside(
+    clearance: NDArray[np.float32], lower: NDArray[np.int64], voxel_m: float, area_m: Area
+) -> None:
+    """Set clearance to zero outside the area, in place."""
+    for axis in range(3):
+        centres = (np.arange(clearance.shape[axis]) + lower[axis] + 0.5) * voxel_m
+        outside = (centres < area_m[0][axis]) | (centres > area_m[1][axis])
+        np.moveaxis(clearance, axis, 0)[outside] = 0.0
 
 
 @njit(cache=True, nogil=True)
@@ -163,9 +183,10 @@ def build_aerial_graph(
     body_m: tuple[float, ...],
     rng: np.random.Generator,
     seeds: FloatArray | None = None,
+    area_m: Area | None = None,
 ) -> AerialGraph:
     """Graph around a body with its centre at `centre` (3,); `seeds` (K, 3): vertices of an earlier cycle."""
-    space = air_space(voxel_map, centre, settings, body_m)
+    space = air_space(voxel_map, centre, settings, body_m, area_m)
     root = _free_root(space, centre)
     samples = [root[None], _sample(space, settings.vertices, rng)]
     if seeds is not None and len(seeds):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from onboard.core.config import RobotSettings
 from onboard.core.lidar import lidar_model
 from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
-from onboard.planning.aerial_graph import build_aerial_graph
+from onboard.planning.aerial_graph import Area, build_aerial_graph
 from onboard.planning.gain import GainModel
 from onboard.planning.ground_graph import build_ground_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph
@@ -17,8 +17,9 @@ from onboard.planning.local_graph import FloatArray, LocalGraph
 class Body:
     """Planning view of one robot kind over a voxel map."""
 
-    def __init__(self, settings: RobotSettings, voxel_m: float) -> None:
+    def __init__(self, settings: RobotSettings, voxel_m: float, area_m: Area | None = None) -> None:
         self.settings = settings
+        self.area_m = area_m
         self.planner = settings.planner
         self.mount = np.array(settings.lidar.mount_m)
         self.gain_model = GainModel.for_lidar(
@@ -42,13 +43,15 @@ class Body:
         """Local graph rooted at the body's reference point (3,)."""
         if self.settings.kind == "ground":
             return build_ground_graph(voxel_map, point, self.planner)
-        return build_aerial_graph(voxel_map, point, self.planner, self.settings.size_m, rng, seeds)
+        return build_aerial_graph(
+            voxel_map, point, self.planner, self.settings.size_m, rng, seeds, self.area_m
+        )
 
     def gains(self, voxel_map: VoxelMap, points: FloatArray) -> FloatArray:
         """Volume in m^3 (N,) that the robot's LiDAR would newly see from reference points (N, 3)."""
         if len(points) == 0:
             return np.zeros(0)
-        return np.asarray(self.gain_model.evaluate(voxel_map, points + self.mount), np.float64)
+        return np.asarray(self.gain_model.evaluate(voxel_map, points + self.mount, self.area_m), np.float64)
 
     def blocked(self, voxel_map: VoxelMap, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
         """Whether an occupied voxel lies in the body's way (N,) from (N, 3) to (N, 3)."""

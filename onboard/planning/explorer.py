@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from onboard.core.config import MapSettings, RobotSettings
 from onboard.mapping.voxel_map import FREE, VoxelMap
+from onboard.planning.aerial_graph import Area
 from onboard.planning.body import Body
 from onboard.planning.global_graph import LINK_M, GlobalGraph
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin, truncate
@@ -26,10 +27,12 @@ RETURN_RADIUS_M = 3.0
 class Explorer:
     """Plans over its own map. Reference points: a ground robot's on the floor, an aerial one's centre."""
 
-    def __init__(self, settings: RobotSettings, map_settings: MapSettings, seed: int) -> None:
+    def __init__(
+        self, settings: RobotSettings, map_settings: MapSettings, seed: int, area_m: Area | None = None
+    ) -> None:
         self.settings = settings
         self.map = VoxelMap(map_settings.voxel_m, map_settings.max_range_m)
-        self.body = Body(settings, map_settings.voxel_m)
+        self.body = Body(settings, map_settings.voxel_m, area_m)
         self.graph: GlobalGraph | None = None
         self.local: LocalGraph | None = None
         self.peer_goals: list[FloatArray] = []
@@ -40,21 +43,21 @@ class Explorer:
         self._rng = np.random.default_rng([seed, settings.id])
         self._heading_rad = 0.0
         self._heading_from: FloatArray | None = None
-        self._trail: list[FloatArray] = []
+        self.trail: list[FloatArray] = []
 
     def begin(self, point: FloatArray, heading_rad: float) -> None:
         """Start the global graph at the robot's reference point (3,)."""
         self.graph = GlobalGraph(point)
         self._heading_rad, self._heading_from = heading_rad, point
-        self._trail = [point]
+        self.trail = [point]
 
     def observe(self, point: FloatArray) -> None:
         """The robot is at this reference point (3,): extend the trail and the exploring direction."""
         assert self.graph is not None
         assert self._heading_from is not None
         self.graph.visit(point, self._visible)
-        if np.linalg.norm(point - self._trail[-1]) > SEEN_M:
-            self._trail.append(point)
+        if np.linalg.norm(point - self.trail[-1]) > SEEN_M:
+            self.trail.append(point)
         moved = point[:2] - self._heading_from[:2]
         if np.hypot(*moved) >= 0.75:
             turn = (np.arctan2(moved[1], moved[0]) - self._heading_rad + np.pi) % (2 * np.pi) - np.pi
@@ -253,7 +256,7 @@ class Explorer:
     def _unvisited(self, points: FloatArray) -> FloatArray:
         """Share of a gain (N,) that can be real: what a view promises where the LiDAR has already been is
         not there."""
-        distances, _ = cKDTree(np.stack(self._trail)).query(points)
+        distances, _ = cKDTree(np.stack(self.trail)).query(points)
         return np.asarray(np.clip((distances - SEEN_M) / (FRESH_M - SEEN_M), 0.0, 1.0))
 
     def _refresh_frontiers(self, point: FloatArray, everywhere: bool = False) -> None:

@@ -42,7 +42,8 @@ class GroundGraph:
         return None if cell is None else self._walk(cell)
 
     def _walk(self, cell: NDArray[np.int64]) -> FloatArray:
-        return self._terrain.points(self._terrain.shortcut(self._terrain.cell_path(cell)))
+        corners = self._terrain.shortcut(self._terrain.cell_path(cell))
+        return self._terrain.points(self._terrain.on_ground(corners))
 
 
 def build_ground_graph(

@@ -25,7 +25,7 @@ from onboard.planning.local_graph import FloatArray
 def choose_point(
     ground_s: FloatArray, aerial_s: FloatArray, ground_limit_s: float, aerial_limit_s: float
 ) -> int | None:
-    """Index of the keyframe with the least `max` of both times (N,) that both can afford, None without one."""
+    """Index of the keyframe with the least `max` of both times (N,) that both can afford, if any."""
     worst = np.maximum(ground_s, aerial_s)
     allowed = (ground_s <= ground_limit_s) & (aerial_s <= aerial_limit_s) & np.isfinite(worst)
     if not allowed.any():
@@ -71,9 +71,10 @@ class Acceptor:
 
     def proposed(self, epoch: int, point: FloatArray, feasible: bool) -> bool:
         """A PROPOSE arrived; True if it is to be acknowledged."""
-        if epoch == self.epochs[-1]:
+        newest = max(self.epochs)
+        if epoch == newest:
             return True
-        if epoch < self.epochs[-1] or self.in_doubt or not feasible:
+        if epoch < newest or self.in_doubt or not feasible:
             return False
         self.points.append(np.asarray(point, np.float64))
         self.epochs.append(epoch)
@@ -82,8 +83,9 @@ class Acceptor:
     def committed(self, epoch: int) -> None:
         """A COMMIT arrived: every older point is void."""
         if epoch in self.epochs:
-            index = self.epochs.index(epoch)
-            self.points, self.epochs = self.points[index:], self.epochs[index:]
+            kept = [index for index, other in enumerate(self.epochs) if other >= epoch]
+            self.points = [self.points[index] for index in kept]
+            self.epochs = [self.epochs[index] for index in kept]
 
 
 def thinned(points: FloatArray, spacing_m: float) -> NDArray[np.int64]:

@@ -15,6 +15,7 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -37,6 +38,7 @@ TURN_RADIUS2 = 9
 TIGHT_FACTOR = 8.0
 SOFT_CELLS = 4
 MAX_RISE = 1
+TRACE_COLUMNS = 3
 NO_FLOOR = -1
 
 
@@ -102,6 +104,12 @@ class Terrain:
     def shortcut(self, path: NDArray[np.int64]) -> NDArray[np.int64]:
         """The same path with every detour replaced by a straight walk that costs no more."""
         return np.asarray(path[_shortcut(self.cost, self.weight, path, 30)])
+
+    def on_ground(self, corners: NDArray[np.int64]) -> NDArray[np.int64]:
+        """The straight walks between corners (M, 3), with cells every few columns that follow the floor."""
+        pieces = [corners[:1]]
+        pieces += [_trace(self.cost, start, end, TRACE_COLUMNS) for start, end in pairwise(corners)]
+        return np.concatenate(pieces)
 
 
 def walkable(
@@ -296,3 +304,21 @@ def _shortcut(cost: F32, weight: F32, path: NDArray[np.int64], reach: int) -> ND
                 break
         kept.append(chosen)
     return np.array(kept)
+
+
+@njit(cache=True, nogil=True)
+def _trace(cost: F32, start: NDArray[np.int64], end: NDArray[np.int64], stride: int) -> NDArray[np.int64]:
+    """Cells on the floor under a straight walk, `stride` columns apart, without its start."""
+    columns = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
+    cells = np.empty((columns // stride + 1, 3), np.int64)
+    count, z = 0, start[2]
+    for step in range(1, columns):
+        x = int(np.floor(start[0] + step / columns * (end[0] - start[0]) + 0.5))
+        y = int(np.floor(start[1] + step / columns * (end[1] - start[1]) + 0.5))
+        level = _level_of(cost, x, y, z)
+        z = z if level == NO_FLOOR else level
+        if step % stride == 0 and columns - step >= stride:
+            cells[count, 0], cells[count, 1], cells[count, 2] = x, y, z
+            count += 1
+    cells[count] = end
+    return cells[: count + 1]

@@ -51,7 +51,7 @@ class Carrier:
         if self._aboard:
             settings = self._aboard[0]
             self._trigger = Trigger(self._team.config.deployment, settings)
-            self._virtual = Body(settings, self._team.config.map.voxel_m)
+            self._virtual = Body(settings, self._team.config.map.voxel_m, self._team.config.mission.area_m)
 
     def regroup_point(self) -> FloatArray | None:
         return self._acceptor.points[0]

@@ -30,6 +30,8 @@ START_DISC_M = 3.0
 it there."""
 RETURN_CHECK_S = 1.0
 IDLE_CYCLES = 3
+LOOK_AGAIN_S = 10.0
+WORTH_RESUMING_M3 = 10.0
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
 
 
@@ -46,7 +48,7 @@ class RobotCore:
         clock: Callable[[], float],
     ) -> None:
         self.settings = settings
-        self.explorer = Explorer(settings, config.map, seed)
+        self.explorer = Explorer(settings, config.map, seed, config.mission.area_m)
         self.sensing = Sensing(settings, self.explorer.map)
         peers = [robot.id for robot in config.robots if robot.name != settings.name]
         self.link = LinkCore(settings.id, peers, contact_timeout_s=config.mission.contact_timeout_s)
@@ -60,6 +62,7 @@ class RobotCore:
         self._idle = 0
         self._return_checked_s = -np.inf
         self._must_return = False
+        self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
 
@@ -130,19 +133,32 @@ class RobotCore:
         facts = replace(
             self.role.facts(now_s, self.phase, pose),
             nothing_left=self._idle >= IDLE_CYCLES,
+            more=self._something_new(now_s, pose),
             must_return=self.phase in MOVING and self._must_go(now_s, pose),
             arrived=self._arrived(pose),
         )
         following = next_phase(self.phase, facts)
         if following == self.phase:
             return
+        if following == Phase.RETURNING:
+            self._looked_s = now_s
         self._log("phase", phase=following.name.lower(), position=vector(pose.position), **self._why(facts))
         self.phase = following
         self._idle = 0
         self.motion.adopt(now_s - 10.0, None)
-        if following == Phase.WAITING and self.arrived_s is None:
+        if following == Phase.WAITING:
             self.arrived_s = now_s
         self.role.entered(now_s, following, pose)
+
+    def _something_new(self, now_s: float, pose: Pose) -> bool:
+        """Having run out of goals, look again now and then: peers' keyframes may have opened up new ones."""
+        if self.phase not in (Phase.RETURNING, Phase.WAITING) or self._must_return:
+            return False
+        if now_s - self._looked_s < LOOK_AGAIN_S:
+            return False
+        self._looked_s = now_s
+        plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, None)
+        return bool(plan.gain_m3 >= WORTH_RESUMING_M3)
 
     def _why(self, facts: Facts) -> dict[str, str]:
         if self.phase not in MOVING or facts.fire:

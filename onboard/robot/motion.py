@@ -1,9 +1,7 @@
-"""Following the current plan: when to plan again, when to stop, and noticing that the robot does not get
+"""Following the current plan: when to plan again, when to stop, and what to do when the robot does not get
 on."""
 
 from __future__ import annotations
-
-from collections import deque
 
 import numpy as np
 
@@ -11,13 +9,11 @@ from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity, finished, follow, stopping_path
-from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan, remaining_path
+from onboard.robot.progress import BackOff, Watchdog
 
 MONITOR_S = 0.5
 MONITOR_AHEAD_M = 3.0
-STUCK_S = 4.0
-STUCK_M = 0.3
 RETRY_S = 1.0
 NEAR_END_M = 0.8
 
@@ -32,15 +28,20 @@ class Motion:
         self.stuck_events = 0
         self._planned_s = -np.inf
         self._checked_s = -np.inf
-        self._trail: deque[tuple[float, FloatArray]] = deque()
+        self._watchdog = Watchdog()
+        self._back_off = BackOff()
 
     def adopt(self, now_s: float, plan: Plan | None) -> None:
         """Follow this plan from now on; None or an empty one stops the robot."""
         self.plan = plan if plan is not None and len(plan.path) else None
         self._planned_s = now_s
+        if self.plan is None:
+            self._watchdog.idle()
 
     def due(self, now_s: float, pose: Pose) -> bool:
         """Whether it is time to plan."""
+        if self._back_off.command(now_s, pose) is not None:
+            return False
         since = now_s - self._planned_s
         if self.plan is None:
             return since >= RETRY_S
@@ -54,45 +55,37 @@ class Motion:
 
     def step(self, now_s: float, pose: Pose) -> Velocity:
         """Velocity command of this step; drops a plan that is blocked or does not get on."""
+        backwards = self._back_off.command(now_s, pose)
+        if backwards is not None:
+            return backwards
         if self.plan is None:
-            self._trail.clear()
+            return HALT
+        if not self.at_end(pose) and self._watchdog.stuck(now_s, pose, self.plan):
+            self._give_up(now_s, pose, self.plan)
             return HALT
         if now_s - self._checked_s >= MONITOR_S:
             self._checked_s = now_s
             if self._explorer.path_blocked(remaining_path(pose.position, self.plan.path), MONITOR_AHEAD_M):
                 self.drop(now_s)
                 return HALT
-        command = follow(self._settings, pose, self.plan.path)
-        if self._is_stuck(now_s, pose, command):
-            self._mark_stuck(now_s, pose, command)
-            return HALT
-        return command
+        return follow(self._settings, pose, self.plan.path)
 
     def drop(self, now_s: float) -> None:
         """Stop and plan anew as soon as possible."""
         self.plan = None
         self._planned_s = now_s - RETRY_S
-        self._trail.clear()
 
-    def _is_stuck(self, now_s: float, pose: Pose, command: Velocity) -> bool:
-        """No net progress over the last seconds although the robot was told to move (progress watchdog)."""
-        if np.linalg.norm(command.linear) < 0.05 and abs(command.yaw_rate) > 0.1:
-            self._trail.clear()
-        self._trail.append((now_s, pose.position.copy()))
-        while now_s - self._trail[0][0] > STUCK_S:
-            self._trail.popleft()
-        old = now_s - self._trail[0][0] > 0.9 * STUCK_S
-        return old and float(np.linalg.norm(self._trail[0][1] - pose.position)) < STUCK_M
-
-    def _mark_stuck(self, now_s: float, pose: Pose, command: Velocity) -> None:
-        """Something that the map does not show is in the way: remember it and leave this goal alone."""
+    def _give_up(self, now_s: float, pose: Pose, plan: Plan) -> None:
+        """Something that the map does not show is in the way: remember it, leave this goal, back off."""
         self.stuck_events += 1
-        assert self.plan is not None
-        self._explorer.refuse(now_s, self.plan.goal)
+        self._explorer.refuse(now_s, plan.goal)
+        command = follow(self._settings, pose, plan.path)
         speed = float(np.linalg.norm(command.linear))
         if self._settings.kind == "ground" and speed > 0.05:
             ahead = pose.position + command.linear / speed * (self._settings.size_m[0] / 2 + 0.15)
             heights = np.arange(0.5, self._settings.size_m[2], 0.2)
             obstacle = ahead + np.stack([np.zeros_like(heights), np.zeros_like(heights), heights], axis=1)
             self._explorer.map.assume_occupied(obstacle)
+        self._watchdog.idle()
         self.drop(now_s)
+        self._back_off.start(now_s, pose, self._explorer.trail)

@@ -1,0 +1,80 @@
+"""Noticing that a robot does not get on, and getting it out again (progress watchdog, planner.md 3.5)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from onboard.core.geometry import Pose, wrap_angle
+from onboard.planning.follower import Velocity
+from onboard.planning.local_graph import FloatArray, polyline_length
+from onboard.planning.plan import Plan, remaining_path
+
+STUCK_S = 5.0
+PROGRESS_M = 0.3
+PROGRESS_RAD = 0.4
+MAX_TURNS = 8
+BACK_OFF_S = 4.0
+BACK_OFF_M = 0.8
+BACK_OFF_SPEED_M_S = 0.3
+
+
+@dataclass
+class _Mark:
+    """The last progress towards a goal."""
+
+    goal: FloatArray
+    time_s: float
+    left_m: float
+    yaw_rad: float
+    turns: int = 0
+
+
+class Watchdog:
+    """Tells when no progress towards the same goal was made for STUCK_S, by walking or by turning."""
+
+    def __init__(self) -> None:
+        self._mark: _Mark | None = None
+
+    def idle(self) -> None:
+        """The robot has no goal."""
+        self._mark = None
+
+    def stuck(self, now_s: float, pose: Pose, plan: Plan) -> bool:
+        """To be called at every step with a plan."""
+        left_m = polyline_length(remaining_path(pose.position, plan.path))
+        mark = self._mark
+        if mark is None or np.linalg.norm(mark.goal - plan.goal) > 1.0:
+            self._mark = _Mark(plan.goal, now_s, left_m, pose.yaw)
+            return False
+        if left_m < mark.left_m - PROGRESS_M:
+            self._mark = _Mark(plan.goal, now_s, left_m, pose.yaw)
+        elif abs(wrap_angle(pose.yaw - mark.yaw_rad)) > PROGRESS_RAD and mark.turns < MAX_TURNS:
+            mark.time_s, mark.yaw_rad, mark.turns = now_s, pose.yaw, mark.turns + 1
+        return now_s - mark.time_s > STUCK_S
+
+
+class BackOff:
+    """Going back a little on the own trail without turning, which every body can do that got there."""
+
+    def __init__(self) -> None:
+        self._until_s = -np.inf
+        self._target: FloatArray | None = None
+
+    def start(self, now_s: float, pose: Pose, trail: list[FloatArray]) -> None:
+        """Begin to go back to the newest place of the trail that is far enough away."""
+        places = [place for place in trail if np.linalg.norm(place - pose.position) >= BACK_OFF_M]
+        self._target = places[-1] if places else None
+        self._until_s = now_s + BACK_OFF_S
+
+    def command(self, now_s: float, pose: Pose) -> Velocity | None:
+        """The velocity of this step, None when the robot is not backing off (any more)."""
+        if self._target is None or now_s >= self._until_s:
+            return None
+        offset = self._target - pose.position
+        distance = float(np.linalg.norm(offset))
+        if distance < 0.2:
+            self._target = None
+            return None
+        return Velocity(offset / distance * BACK_OFF_SPEED_M_S, 0.0)

@@ -1,0 +1,116 @@
+"""The mission's state machine over every phase and every combination of facts."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from itertools import product
+
+import pytest
+
+from onboard.mission import AT_REGROUP, FLYING, Facts, Phase, next_phase
+
+NAMES = [field.name for field in fields(Facts)]
+EVERYTHING = [Facts(**dict(zip(NAMES, values, strict=True))) for values in product((False, True), repeat=len(NAMES))]
+
+SUCCESSORS = {
+    Phase.CARRIED: {Phase.TAKING_OFF},
+    Phase.CARRYING: {Phase.DEPLOYING, Phase.RETURNING},
+    Phase.DEPLOYING: {Phase.EXPLORING},
+    Phase.TAKING_OFF: {Phase.EXPLORING},
+    Phase.EXPLORING: {Phase.RETURNING},
+    Phase.RETURNING: {Phase.WAITING, Phase.EXPLORING},
+    Phase.WAITING: {Phase.RETURNING, Phase.EXPLORING, Phase.DONE},
+    Phase.DONE: set(),
+}
+
+
+def followers(phase: Phase, **given: bool) -> set[Phase]:
+    """Every phase that can follow under the given facts, whatever the other facts are."""
+    matching = [facts for facts in EVERYTHING if all(getattr(facts, k) is v for k, v in given.items())]
+    return {next_phase(phase, facts) for facts in matching}
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_only_the_drawn_transitions_exist_and_all_of_them_do(phase):
+    assert followers(phase) - {phase} == SUCCESSORS[phase]
+
+
+@pytest.mark.parametrize("phase", Phase)
+def test_nothing_happens_without_a_reason(phase):
+    stays = Phase.RETURNING if phase == Phase.WAITING else phase  # not at the point any more: go back to it
+    assert next_phase(phase, Facts()) == stays
+
+
+def test_a_finished_robot_stays_finished():
+    assert followers(Phase.DONE) == {Phase.DONE}
+
+
+def test_a_carrier_lets_go_only_when_the_trigger_fires_and_then_always():
+    assert followers(Phase.CARRYING, fire=True) == {Phase.DEPLOYING}
+    assert Phase.DEPLOYING not in followers(Phase.CARRYING, fire=False)
+    assert followers(Phase.CARRYING, fire=False, must_return=True) == {Phase.RETURNING}
+    assert followers(Phase.CARRYING, fire=False, must_return=False, nothing_left=False) == {Phase.CARRYING}
+
+
+def test_a_carrier_waits_until_the_released_robot_is_clear():
+    assert followers(Phase.DEPLOYING, peer_clear=False) == {Phase.DEPLOYING}
+    assert Phase.DEPLOYING not in followers(Phase.DEPLOYING, peer_clear=True)
+
+
+def test_a_carried_robot_takes_off_exactly_when_it_is_released():
+    assert followers(Phase.CARRIED, released=False) == {Phase.CARRIED}
+    assert followers(Phase.CARRIED, released=True) == {Phase.TAKING_OFF}
+    assert followers(Phase.TAKING_OFF, peer_clear=False) == {Phase.TAKING_OFF}
+    assert followers(Phase.TAKING_OFF, peer_clear=True) == {Phase.EXPLORING}
+
+
+def test_exploring_ends_when_time_or_goals_run_out():
+    assert followers(Phase.EXPLORING, must_return=True) == {Phase.RETURNING}
+    assert followers(Phase.EXPLORING, nothing_left=True) == {Phase.RETURNING}
+    assert followers(Phase.EXPLORING, nothing_left=False, must_return=False) == {Phase.EXPLORING}
+
+
+def test_waiting_needs_an_arrival_and_new_goals_resume_the_exploration():
+    assert Phase.WAITING not in followers(Phase.RETURNING, arrived=False)
+    assert followers(Phase.RETURNING, arrived=True, more=False) == {Phase.WAITING}
+    assert followers(Phase.RETURNING, more=True) == {Phase.EXPLORING}
+
+
+@pytest.mark.parametrize("missing", ["arrived", "peers_arrived", "shared", "complete"])
+def test_done_needs_everybody_there_and_everything_exchanged(missing):
+    assert Phase.DONE not in followers(Phase.WAITING, **{missing: False})
+    agreed = {name: True for name in ("arrived", "peers_arrived", "shared", "complete")}
+    assert followers(Phase.WAITING, **agreed) == {Phase.DONE}
+
+
+@pytest.mark.parametrize("start", [Phase.CARRIED, Phase.CARRYING, Phase.EXPLORING])
+def test_every_role_can_get_done_and_only_by_waiting(start):
+    reached, fringe = {start}, {start}
+    while fringe:
+        fringe = {after for phase in fringe for after in followers(phase)} - reached
+        reached |= fringe
+    assert Phase.DONE in reached
+    assert [phase for phase in Phase if Phase.DONE in followers(phase) and phase != Phase.DONE] == [Phase.WAITING]
+    assert (Phase.CARRYING in reached) is (start == Phase.CARRYING)
+    assert (Phase.CARRIED in reached) is (start == Phase.CARRIED)
+
+
+def test_codes_on_the_air_fit_and_are_fixed():
+    assert [phase.name for phase in Phase] == [
+        "CARRIED",
+        "CARRYING",
+        "DEPLOYING",
+        "TAKING_OFF",
+        "EXPLORING",
+        "RETURNING",
+        "WAITING",
+        "DONE",
+    ]
+    assert [int(phase) for phase in Phase] == list(range(8))
+
+
+def test_a_robot_aboard_is_at_the_meeting_point_but_not_flying():
+    assert Phase.CARRIED in AT_REGROUP
+    assert Phase.CARRIED not in FLYING
+    assert {Phase.WAITING, Phase.DONE} <= AT_REGROUP & FLYING
+    assert not AT_REGROUP & {Phase.EXPLORING, Phase.RETURNING, Phase.CARRYING, Phase.DEPLOYING}
