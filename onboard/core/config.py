@@ -115,7 +115,7 @@ class MissionSettings(Section):
 
     duration_s: Positive = 900.0
     area_m: tuple[Vector, Vector] | None = None
-    """Lower and upper corner of the box to explore; nobody flies out of it or gains from what lies outside."""
+    """Lower and upper corner of the box to explore: nobody flies out of it or gains from what is outside."""
     regroup_radius_m: Positive = 3.0
     contact_timeout_s: Positive = 3.0
     regroup_period_s: Positive = 15.0

@@ -49,7 +49,7 @@ def air_space(
     body_m: tuple[float, ...],
     area_m: Area | None = None,
 ) -> AirSpace:
-    """Allowed space of a body of size `body_m` in the planning window around `centre` (3,), inside the area."""
+    """Allowed space of a body of that size in the planning window around `centre` (3,), inside the area."""
     voxel_m = voxel_map.voxel_m
     shape = np.ceil(np.array(settings.window_m) / voxel_m).astype(np.int64)
     lower = np.floor(centre / voxel_m).astype(np.int64) - shape // 2

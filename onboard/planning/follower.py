@@ -13,6 +13,7 @@ from onboard.planning.local_graph import FloatArray, polyline_length
 from onboard.planning.plan import remaining_path
 
 ALIGN_RAD = 0.4
+BACKWARDS_RAD = 1.8
 REACHED_M = 0.25
 
 
@@ -40,7 +41,8 @@ def follow(settings: RobotSettings, pose: Pose, path: FloatArray) -> Velocity:
     speed = min(settings.speed_m_s, _corner_speed(settings, rest * weights))
     error = _yaw_error(pose, heading_to)
     if flat:
-        # legs turn before they walk: the body is longer than it is wide
+        # the body is longer than it is wide, so it walks along its axis; legs walk backwards just as well
+        error = error if abs(error) < BACKWARDS_RAD else wrap_angle(error + np.pi)
         speed *= max(0.0, 1 - abs(error) / ALIGN_RAD)
     yaw_rate = float(np.clip(1.5 * error, -settings.yaw_rate_rad_s, settings.yaw_rate_rad_s))
     return Velocity(heading_to / max(distance, 1e-6) * speed, yaw_rate)

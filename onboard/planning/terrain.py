@@ -1,13 +1,10 @@
 """Walkable floor of a dense map window: the 2.5D projection on which the ground robot plans.
 
-A window column may hold several floors (storeys, stairs over corridors). A cell of the lattice is one
-floor voxel
-(x, y, z) that the robot can reach from where it stands by steps of at most one voxel between neighbouring
-columns.
-Unknown columns are bridged at the level of their neighbours for a few cells only, because the beams of a
-LiDAR on
-a walking robot leave gaps between their rings on the floor, and never where free space is seen below that
-level.
+A window column may hold several floors (storeys, stairs over corridors). A cell of the lattice is one floor
+voxel (x, y, z) that the robot can reach from where it stands by steps of at most one voxel between
+neighbouring columns. Unknown columns are bridged at the level of their neighbours for a few cells only,
+because the beams of a LiDAR on a walking robot leave gaps between their rings on the floor, and never where
+free space is seen below that level.
 """
 
 from __future__ import annotations
@@ -22,24 +19,22 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.mapping.voxel_map import FREE, OCCUPIED
+from onboard.planning import walks
+from onboard.planning.walks import F32, NO_FLOOR
 
 I8 = NDArray[np.uint8]
 I32 = NDArray[np.int32]
-F32 = NDArray[np.float32]
 
 BODY_LOW, BODY_HIGH = 2, 4
-"""Voxels above the floor voxel that the body sweeps: below them a leg steps over, above them nothing
-collides."""
+"""Voxels above the floor voxel that the body sweeps: below, a leg steps over; above, nothing collides."""
 HARD_RADIUS2 = 4
-"""Squared cells around the body's centre that must be free of obstacles (half the body's width plus a
-margin)."""
+"""Squared cells around the body's centre that must be free (half the body's width plus a margin)."""
 TURN_RADIUS2 = 9
 """Squared cells that must be free for the body to turn on the spot; tighter places cost `TIGHT_FACTOR`."""
 TIGHT_FACTOR = 8.0
 SOFT_CELLS = 4
 MAX_RISE = 1
 TRACE_COLUMNS = 3
-NO_FLOOR = -1
 
 
 @dataclass(frozen=True)
@@ -93,22 +88,22 @@ class Terrain:
         cells = np.floor(points / self.voxel_m).astype(np.int64) - self.lower
         if np.any(cells < 1) or np.any(cells >= np.array(self.cost.shape) - 1):
             return None
-        levels = [_level_of(self.cost, int(x), int(y), int(z)) for x, y, z in cells]
+        levels = [walks.level_of(self.cost, int(x), int(y), int(z)) for x, y, z in cells]
         cells[:, 2] = levels
         return None if NO_FLOOR in levels else cells
 
     def line_cost(self, start: NDArray[np.int64], end: NDArray[np.int64]) -> float:
         """Weighted metres of the straight walk between two cells, inf if it leaves the lattice."""
-        return float(_line_cost(self.cost, self.weight, start, end)) * self.voxel_m
+        return float(walks.line_cost(self.cost, self.weight, start, end)) * self.voxel_m
 
     def shortcut(self, path: NDArray[np.int64]) -> NDArray[np.int64]:
         """The same path with every detour replaced by a straight walk that costs no more."""
-        return np.asarray(path[_shortcut(self.cost, self.weight, path, 30)])
+        return np.asarray(path[walks.shortcut(self.cost, self.weight, path, 30)])
 
     def on_ground(self, corners: NDArray[np.int64]) -> NDArray[np.int64]:
         """The straight walks between corners (M, 3), with cells every few columns that follow the floor."""
         pieces = [corners[:1]]
-        pieces += [_trace(self.cost, start, end, TRACE_COLUMNS) for start, end in pairwise(corners)]
+        pieces += [walks.trace(self.cost, start, end, TRACE_COLUMNS) for start, end in pairwise(corners)]
         return np.concatenate(pieces)
 
 
@@ -258,67 +253,3 @@ def _grow(
                     parent[(i * ny + j) * nz + k] = flat
                     assumed[i, j, k] = assumed[x, y, z] + 1 if guessed else 0
                     heapq.heappush(queue, (total, np.int64((i * ny + j) * nz + k)))
-
-
-@njit(cache=True, nogil=True)
-def _level_of(cost: F32, x: int, y: int, z: int) -> int:
-    for offset in (0, 1, -1):
-        if 0 <= z + offset < cost.shape[2] and cost[x, y, z + offset] < np.inf:
-            return z + offset
-    return NO_FLOOR
-
-
-@njit(cache=True, nogil=True)
-def _line_cost(cost: F32, weight: F32, start: NDArray[np.int64], end: NDArray[np.int64]) -> float:
-    """Weighted cells of the straight walk, inf if a column under it holds no reachable cell at its level."""
-    steps = 2 * max(abs(end[0] - start[0]), abs(end[1] - start[1]))
-    if steps == 0:
-        return 0.0 if start[2] == end[2] else np.inf
-    length = np.sqrt(float((end[0] - start[0]) ** 2 + (end[1] - start[1]) ** 2 + (end[2] - start[2]) ** 2))
-    z, total = start[2], 0.0
-    for step in range(1, steps + 1):
-        t = step / steps
-        x = int(np.floor(start[0] + t * (end[0] - start[0]) + 0.5))
-        y = int(np.floor(start[1] + t * (end[1] - start[1]) + 0.5))
-        z = _level_of(cost, x, y, z)
-        if z == NO_FLOOR:
-            return np.inf
-        total += weight[x, y, z]
-    return total * length / steps if z == end[2] else np.inf
-
-
-@njit(cache=True, nogil=True)
-def _shortcut(cost: F32, weight: F32, path: NDArray[np.int64], reach: int) -> NDArray[np.int64]:
-    """Indices of the path's corners: from each, the farthest cell whose straight walk costs no more."""
-    kept = [0]
-    while kept[-1] < len(path) - 1:
-        here = kept[-1]
-        chosen = here + 1
-        for there in range(min(here + reach, len(path) - 1), here + 1, -1):
-            along = (
-                cost[path[there, 0], path[there, 1], path[there, 2]]
-                - cost[path[here, 0], path[here, 1], path[here, 2]]
-            )
-            if _line_cost(cost, weight, path[here], path[there]) <= along * 1.01 + 1e-3:
-                chosen = there
-                break
-        kept.append(chosen)
-    return np.array(kept)
-
-
-@njit(cache=True, nogil=True)
-def _trace(cost: F32, start: NDArray[np.int64], end: NDArray[np.int64], stride: int) -> NDArray[np.int64]:
-    """Cells on the floor under a straight walk, `stride` columns apart, without its start."""
-    columns = max(abs(end[0] - start[0]), abs(end[1] - start[1]))
-    cells = np.empty((columns // stride + 1, 3), np.int64)
-    count, z = 0, start[2]
-    for step in range(1, columns):
-        x = int(np.floor(start[0] + step / columns * (end[0] - start[0]) + 0.5))
-        y = int(np.floor(start[1] + step / columns * (end[1] - start[1]) + 0.5))
-        level = _level_of(cost, x, y, z)
-        z = z if level == NO_FLOOR else level
-        if step % stride == 0 and columns - step >= stride:
-            cells[count, 0], cells[count, 1], cells[count, 2] = x, y, z
-            count += 1
-    cells[count] = end
-    return cells[: count + 1]

@@ -29,14 +29,15 @@ _LEVEL_BAND_M = 0.5
 
 @dataclass(frozen=True, eq=False)
 class _Floors:
-    """(N, 3) floor points with the share of rays around that hit, and the free radius in metres."""
+    """(N, 3) floor points; shares (N,) of the rays around that hit, and that hit front faces; free radii."""
 
     points: Floats
     covered: Floats
+    front: Floats
     radius_m: Floats
 
     def only(self, keep: Bools) -> _Floors:
-        return _Floors(self.points[keep], self.covered[keep], self.radius_m[keep])
+        return _Floors(self.points[keep], self.covered[keep], self.front[keep], self.radius_m[keep])
 
 
 class StartFinder:
@@ -52,12 +53,12 @@ class StartFinder:
         point = np.array(start, dtype=np.float64)
         text = "start ({:g}, {:g}, {:g})".format(*start)
         lift = 0.3
-        drop = float(self._cast(point[None] + up(lift), np.array([[0.0, 0.0, -1.0]]))[0, 0]) - lift
+        drop = float(self._cast(point[None] + up(lift), -up(1.0)[None])[0, 0]) - lift
         if not drop <= DROP_M:
             raise InputError(f"{text} has no floor within {DROP_M:g} m below; name a point inside")
         floor = point - up(drop)
         found = self._judge(floor[None])
-        headroom = float(self._cast(floor[None] + up(0.05), np.array([[0.0, 0.0, 1.0]]))[0, 0])
+        headroom = float(self._cast(floor[None] + up(0.05), up(1.0)[None])[0, 0]) + 0.05
         if headroom < HEADROOM_M:
             raise InputError(f"{text} has {headroom:.1f} m of headroom; {HEADROOM_M:g} m are needed")
         if found.covered[0] < COVERED_SHARE:
@@ -74,6 +75,8 @@ class StartFinder:
         good = floors.only((floors.covered >= INSIDE_SHARE) & (floors.radius_m >= FREE_RADIUS_M))
         if not len(good.points):
             raise InputError("no roomy floor inside it was found; name a start")
+        if (good.front > 0.5).any():  # else the whole mesh is turned inside out
+            good = good.only(good.front > 0.5)
         good = good.only(self._in_largest(good))
         low = good.only(good.points[:, 2] <= good.points[:, 2].min() + _LEVEL_BAND_M)
         return np.asarray(low.points[np.argmax(low.radius_m)])
@@ -94,6 +97,19 @@ class StartFinder:
         return np.asarray(
             self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))["t_hit"].numpy(), dtype=np.float64
         )
+
+    def _look_around(self, eyes: Floats) -> tuple[Floats, Floats]:
+        """Shares (N,) of the rays around each eye that hit, and that hit faces whose normals face the eye.
+
+        The latter tells rooms from the inside of thick walls and rock.
+        """
+        sphere = _sphere(128).astype(np.float32)
+        rays = np.empty((len(eyes), len(sphere), 6), dtype=np.float32)
+        rays[..., :3], rays[..., 3:] = eyes[:, None], sphere
+        found = self._scene.cast_rays(o3d.core.Tensor.from_numpy(rays))
+        hit = np.isfinite(found["t_hit"].numpy())
+        facing = np.einsum("ndk,dk->nd", found["primitive_normals"].numpy(), sphere) < 0
+        return np.asarray(hit.mean(axis=1)), np.asarray((hit & facing).mean(axis=1))
 
     def _floors(self) -> Floats:
         """(N, 3) surface points with headroom, on a regular plan grid."""
@@ -120,15 +136,15 @@ class StartFinder:
         for radius in (0.6, FREE_RADIUS_M):
             for azimuth in np.arange(8) / 8 * 2 * np.pi:
                 offset = np.array([radius * np.cos(azimuth), radius * np.sin(azimuth), _EYE_M])
-                down = self._cast(floors + offset, np.array([[0.0, 0.0, -1.0]]))[:, 0]
+                down = self._cast(floors + offset, -up(1.0)[None])[:, 0]
                 even &= np.abs(down - _EYE_M) <= _UNEVEN_M
         return floors[even]
 
     def _judge(self, floors: Floats) -> _Floors:
-        around = np.isfinite(self._cast(floors + up(_EYE_M), _sphere(128))).mean(axis=1)
+        around, front = self._look_around(floors + up(_EYE_M))
         level = _horizontal(np.arange(24) / 24 * 2 * np.pi)
         radius = [self._cast(floors + up(height), level).min(axis=1) for height in (0.4, 0.9)]
-        return _Floors(floors, around, np.minimum(*radius))
+        return _Floors(floors, around, front, np.minimum(*radius))
 
     def _in_largest(self, floors: _Floors) -> Bools:
         """Those in the piece of connected air that has the most roofed volume."""

@@ -15,7 +15,7 @@ from onboard.core.errors import InputError
 from simulation.worlds import World, load_world, world_by_name
 from simulation.worlds.blocks import Blocks
 from simulation.worlds.files import SUFFIXES
-from simulation.worlds.solids import Mesh
+from simulation.worlds.solids import Mesh, up
 from simulation.worlds.start import FREE_RADIUS_M, HEADROOM_M
 from simulation.worlds.voxels import casting_scene, roofed, voxelise
 
@@ -43,7 +43,7 @@ def saved(mesh: Mesh, path: Path) -> Path:
 
 
 def headroom(world: World) -> float:
-    ray = np.array([[*(world.start + [0, 0, 0.05]), 0, 0, 1]], dtype=np.float32)
+    ray = np.array([[*(world.start + up(0.05)), 0, 0, 1]], dtype=np.float32)
     scene = casting_scene(world.vertices, world.triangles)
     return float(scene.cast_rays(o3d.core.Tensor(ray))["t_hit"].numpy()[0]) + 0.05
 
@@ -80,7 +80,7 @@ def test_given_start_is_dropped_to_the_floor(hall: Path) -> None:
 @pytest.mark.parametrize(
     ("start", "message"),
     [
-        ((9.0, 3.0, 4.9), "no floor within 3 m"),
+        ((9.0, 3.0, 4.5), "no floor within 3 m"),
         ((-50.0, 3.0, 1.0), "no floor within 3 m"),
         ((9.0, 7.0, 1.5), "1.2 m of headroom"),
         ((6.2, 3.0, 1.5), "0.2 m from a wall"),
@@ -188,6 +188,14 @@ def test_shared_worlds_have_a_default_start(name: str) -> None:
     assert (world.start <= world.upper).all()
 
 
+def drop_to_floor(path: Path, x: float, y: float, z: float) -> float:
+    """How far the start lies below the point; nan where it is refused."""
+    try:
+        return float(z - load_world(path, (x, y, z)).start[2])
+    except InputError:
+        return float("nan")
+
+
 @pytest.mark.parametrize("name", ["pittsburgh_mine_plan", "nibs_duplex"])
 def test_starts_at_shared_viewpoints(name: str) -> None:
     """Viewpoints known to be inside, named as starts, drop to the floor below or are refused in one line."""
@@ -195,13 +203,6 @@ def test_starts_at_shared_viewpoints(name: str) -> None:
     if not folder.is_dir():
         pytest.skip(f"the shared data set is not at {DATA}")
     views = json.loads((folder / "meta.json").read_text())["views"][:12]
-    taken = 0
-    for x, y, z, above in views:
-        try:
-            world = load_world(folder / "world.ply", (x, y, z))
-        except InputError as error:
-            assert "start" in str(error)
-            continue
-        taken += 1
-        assert world.start[2] == pytest.approx(z - above, abs=0.15)
-    assert taken >= 3
+    drops = [drop_to_floor(folder / "world.ply", x, y, z) - above for x, y, z, above in views]
+    assert np.isfinite(drops).sum() >= 3
+    assert np.nanmax(np.abs(drops)) < 0.15

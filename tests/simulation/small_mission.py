@@ -1,0 +1,63 @@
+"""A team in a room of 12 x 8 x 3 m with a partition: whole missions that take seconds."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from onboard.core.config import Config, load_config
+from simulation.mission import Mission
+from simulation.scene import Scene
+from simulation.worlds import World
+from tests.simulation.conftest import Box, boxes_mesh
+
+TEAM = Path(__file__).parents[2] / "config" / "sim" / "team.toml"
+Event = tuple[float, str, dict[str, Any]]
+ROOM: list[Box] = [
+    (-6.2, -4.2, -0.2, 6.2, 4.2, 0.0),
+    (-6.2, -4.2, 3.0, 6.2, 4.2, 3.2),
+    (-6.2, -4.2, 0.0, -6.0, 4.2, 3.0),
+    (6.0, -4.2, 0.0, 6.2, 4.2, 3.0),
+    (-6.0, -4.2, 0.0, 6.0, -4.0, 3.0),
+    (-6.0, 4.0, 0.0, 6.0, 4.2, 3.0),
+    (0.4, -4.0, 0.0, 0.6, 1.6, 3.0),
+]
+"""Closed room; the partition leaves a passage of 2.4 m."""
+
+
+def room(extra: list[Box] | None = None) -> World:
+    """The world, with further boxes in it."""
+    vertices, triangles = boxes_mesh([*ROOM, *(extra or [])])
+    return World("room", None, vertices, triangles, np.array([-3.0, 0.0, 0.0]), 0.0)
+
+
+def team(robots: str = "both", **sections: dict[str, Any]) -> Config:
+    """The shipped team with some values of some sections replaced."""
+    config = load_config(TEAM)
+    update: dict[str, Any] = {
+        name: getattr(config, name).model_copy(update=values) for name, values in sections.items()
+    }
+    if robots == "ground":
+        update["robots"] = config.robots[:1]
+    return config.model_copy(update=update)
+
+
+EAGER = {"min_volume_m3": 0.5, "gamma": 0.0, "min_rate_m3_s": 1e-6, "debounce_cycles": 1}
+"""Deployment settings that release as soon as the space above is clear."""
+
+
+def played(config: Config, world: World, seed: int = 1) -> tuple[Mission, list[Event]]:
+    """The mission at its end and everything that was logged."""
+    events: list[Event] = []
+    mission = Mission(
+        config,
+        world,
+        Scene(world.vertices, world.triangles),
+        seed,
+        lambda time_s, kind, **fields: events.append((time_s, kind, fields)),
+    )
+    while not mission.done():
+        mission.tick()
+    return mission, events
