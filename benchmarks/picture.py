@@ -153,8 +153,9 @@ def _legend(record: RunRecord) -> list[Any]:
     for index, name in enumerate(record.robots):
         handles.append(Patch(facecolor=robot_colour(index), label=f"seen by {name}"))
         handles.append(Line2D([], [], color=_darker(robot_colour(index)), label=f"path of {name}"))
-    handles.append(Patch(facecolor=SHARED_COLOUR, label="seen by both"))
-    handles.append(Patch(facecolor=UNSEEN_COLOUR, label="assumed"))
+    handles.append(Patch(facecolor=SHARED_COLOUR, label="seen by several"))
+    if not record.seen_by.all():
+        handles.append(Patch(facecolor=UNSEEN_COLOUR, label="assumed"))
     return handles
 
 
