@@ -51,7 +51,7 @@ def run_matrix(options: argparse.Namespace, settings: Settings, runner: Runner) 
     pairs = load_pairs(missions, settings)
     tables.write_section(options.table, "missions", table_text(pairs, missions, settings))
     write_headline(options.readme, pairs, settings.duration_s)
-    console.print(tables.verdict(pairs), highlight=False)
+    console.print(tables.verdict(pairs), highlight=False, soft_wrap=True)
     return int(failed > 0)
 
 

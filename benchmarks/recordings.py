@@ -36,7 +36,7 @@ def recordings_table(data: Path, settings: Settings, runner: Runner) -> str:
         else:
             metrics = json.loads((directory / "metrics.json").read_text(encoding="utf-8"))
             rows.append(recording_row(path.name, metrics))
-        console.print(rows[-1] if not code else refused[-1], highlight=False)
+        console.print(refused[-1] if code else " | ".join(rows[-1]), highlight=False, soft_wrap=True)
     text = tables.markdown(COLUMNS, rows)
     return text if not refused else text + "\n\nRefused:\n\n" + "\n".join(refused)
 

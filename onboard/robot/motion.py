@@ -1,5 +1,4 @@
-"""Following the current plan: when to plan again, when to stop, and what to do when the robot does not get
-on."""
+"""Following the current plan: when to plan again, when to stop, what to do when the robot does not get on."""
 
 from __future__ import annotations
 
@@ -28,6 +27,7 @@ class Motion:
         self.stuck_events = 0
         self._planned_s = -np.inf
         self._checked_s = -np.inf
+        self._accepted_blocked = False
         self._watchdog = Watchdog()
         self._back_off = BackOff()
 
@@ -35,8 +35,12 @@ class Motion:
         """Follow this plan from now on; None or an empty one stops the robot."""
         self.plan = plan if plan is not None and len(plan.path) else None
         self._planned_s = now_s
+        self._accepted_blocked = False
         if self.plan is None:
             self._watchdog.idle()
+        elif self._settings.kind == "ground":
+            # the planner took it knowing the map (a trail that was walked): feel the way, do not wait
+            self._accepted_blocked = self._explorer.path_blocked(self.plan.path, MONITOR_AHEAD_M)
 
     def due(self, now_s: float, pose: Pose) -> bool:
         """Whether it is time to plan."""
@@ -63,12 +67,17 @@ class Motion:
         if not self.at_end(pose) and self._watchdog.stuck(now_s, pose, self.plan):
             self._give_up(now_s, pose, self.plan)
             return HALT
-        if now_s - self._checked_s >= MONITOR_S:
-            self._checked_s = now_s
-            if self._explorer.path_blocked(remaining_path(pose.position, self.plan.path), MONITOR_AHEAD_M):
-                self.drop(now_s)
-                return HALT
+        if self._newly_blocked(now_s, pose, self.plan):
+            self.drop(now_s)
+            return HALT
         return follow(self._settings, pose, self.plan.path)
+
+    def _newly_blocked(self, now_s: float, pose: Pose, plan: Plan) -> bool:
+        """Collision monitor: whether the map now shows an obstacle on the next metres."""
+        if self._accepted_blocked or now_s - self._checked_s < MONITOR_S:
+            return False
+        self._checked_s = now_s
+        return self._explorer.path_blocked(remaining_path(pose.position, plan.path), MONITOR_AHEAD_M)
 
     def drop(self, now_s: float) -> None:
         """Stop and plan anew as soon as possible."""

@@ -15,8 +15,7 @@ from simulation.worlds.solids import up
 from simulation.worlds.start import StartFinder
 from simulation.worlds.voxels import casting_scene
 
-SEEDS = (1, 2, 3)
-EVERY = [(name, seed) for name in GENERATORS for seed in SEEDS]
+EVERY = [(name, seed) for name in GENERATORS for seed in (1, 2)]
 
 
 @cache
@@ -24,9 +23,14 @@ def world(name: str, seed: int) -> World:
     return make_world(name, seed)
 
 
+@cache
+def scene_of(of: World) -> o3d.t.geometry.RaycastingScene:
+    return casting_scene(of.vertices, of.triangles)
+
+
 def cast(of: World, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     rays = np.concatenate(np.broadcast_arrays(origins, directions), axis=1).astype(np.float32)
-    return casting_scene(of.vertices, of.triangles).cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
+    return scene_of(of).cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
 
 
 @pytest.mark.parametrize("name", GENERATORS)

@@ -110,9 +110,14 @@ def surveyed(name: str, seed: int) -> Reach:
     return reach(world(name, seed))
 
 
+@cache
+def scene_of(of: World) -> o3d.t.geometry.RaycastingScene:
+    return casting_scene(of.vertices, of.triangles)
+
+
 def cast(of: World, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
     rays = np.concatenate(np.broadcast_arrays(origins, directions), axis=1).astype(np.float32)
-    return casting_scene(of.vertices, of.triangles).cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
+    return scene_of(of).cast_rays(o3d.core.Tensor(rays))["t_hit"].numpy()
 
 
 @pytest.mark.parametrize(("name", "seed"), EVERY)
@@ -132,7 +137,7 @@ def test_first_surface_faces_the_viewer(name: str, seed: int) -> None:
     floor = surveyed(name, seed).floor_xyz
     eyes = floor[rng.integers(len(floor), size=2_000)] + up(0.7)
     rays = np.concatenate([eyes, rng.normal(size=(2_000, 3))], axis=1).astype(np.float32)
-    hits = casting_scene(made.vertices, made.triangles).cast_rays(o3d.core.Tensor(rays))
+    hits = scene_of(made).cast_rays(o3d.core.Tensor(rays))
     facing = (hits["primitive_normals"].numpy() * rays[:, 3:]).sum(axis=1) < 0
     assert facing.mean() > 0.999
 
