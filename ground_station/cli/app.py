@@ -71,3 +71,7 @@ def main() -> None:
     """Entry point of the console script; a polite kill ends a run as control-C does."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     app()
+
+
+if __name__ == "__main__":
+    main()

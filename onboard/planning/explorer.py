@@ -111,6 +111,7 @@ class Explorer:
         gains *= self._discount(places) * self._unvisited(places)
         gains[~self._refusals.allowed(now_s, places)] = 0.0
         times = self._distances_from(point)[nodes] / self.settings.speed_m_s
+        gains[gains < self.settings.planner.frontier_m3] = 0.0
         rates = gains / (times + self.settings.planner.start_up_s)
         for index in np.argsort(-rates, kind="stable")[:3]:
             if rates[index] <= 0 or not np.isfinite(times[index]):
@@ -118,10 +119,8 @@ class Explorer:
             path = self.route_to(point, int(nodes[index]))
             if path is None:
                 continue
-            settings = self.settings.planner
-            choice = score_path(
-                path, float(gains[index]), self._heading_rad, self.settings.speed_m_s, settings
-            )
+            speed, settings = self.settings.speed_m_s, self.settings.planner
+            choice = score_path(path, float(gains[index]), self._heading_rad, speed, settings)
             plan = self._plan(choice, "frontier")
             if self.affordable(plan):
                 return plan

@@ -29,6 +29,8 @@ BODY_LOW, BODY_HIGH = 2, 4
 """Voxels above the floor voxel that the body sweeps: below, a leg steps over; above, nothing collides."""
 HARD_RADIUS2 = 4
 """Squared cells around the body's centre that must be free (half the body's width plus a margin)."""
+EDGE_RADIUS2 = 10
+"""Squared cells around the centre over which no part of the body may hang: half its length and a margin."""
 TURN_RADIUS2 = 9
 """Squared cells that must be free for the body to turn on the spot; tighter places cost `TIGHT_FACTOR`."""
 TIGHT_FACTOR = 8.0
@@ -176,7 +178,7 @@ def _standable(window: I8, x: int, y: int, z: int) -> float:
                 ):
                     nearest2 = far2
                     break
-            if far2 <= HARD_RADIUS2 and _drops(window, i, j, z):
+            if far2 <= EDGE_RADIUS2 and _drops(window, i, j, z, 2 if far2 <= HARD_RADIUS2 else 3):
                 return np.inf
     if nearest2 <= HARD_RADIUS2:
         return np.inf
@@ -200,11 +202,12 @@ def _rises(window: I8, x: int, y: int, z: int, far2: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _drops(window: I8, x: int, y: int, z: int) -> bool:
-    """Whether free space is known where the floor next to level z should be."""
-    if z < 2:
-        return False
-    return bool(window[x, y, z] == FREE and window[x, y, z - 1] == FREE and window[x, y, z - 2] == FREE)
+def _drops(window: I8, x: int, y: int, z: int, depth: int) -> bool:
+    """Whether free space is known at level z and `depth` voxels below it, where a floor should be."""
+    for level in range(z - depth, z + 1):
+        if level < 0 or window[x, y, level] != FREE:
+            return False
+    return True
 
 
 @njit(cache=True, nogil=True)

@@ -178,10 +178,10 @@ class RobotCore:
         if target is None or self.phase not in (Phase.RETURNING, Phase.WAITING):
             return False
         radius = self.team.config.mission.regroup_radius_m
-        near = float(np.linalg.norm(pose.position - target)) <= radius
-        return near and (
-            self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose))
-        )
+        distance = float(np.linalg.norm(pose.position - target))
+        settled = self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose))
+        close = self.settings.kind == "ground" and distance <= radius / 2
+        return distance <= radius and (settled or close)
 
     def _move(self, now_s: float, pose: Pose) -> Velocity:
         if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.WAITING, Phase.DONE):

@@ -8,6 +8,7 @@ from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity, finished, follow, stopping_path
+from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan, remaining_path
 from onboard.robot.progress import BackOff, Watchdog
 
@@ -88,13 +89,19 @@ class Motion:
         """Something that the map does not show is in the way: remember it, leave this goal, back off."""
         self.stuck_events += 1
         self._explorer.refuse(now_s, plan.goal)
-        command = follow(self._settings, pose, plan.path)
-        speed = float(np.linalg.norm(command.linear))
-        if self._settings.kind == "ground" and speed > 0.05:
-            ahead = pose.position + command.linear / speed * (self._settings.size_m[0] / 2 + 0.15)
-            heights = np.arange(0.5, self._settings.size_m[2], 0.2)
-            obstacle = ahead + np.stack([np.zeros_like(heights), np.zeros_like(heights), heights], axis=1)
-            self._explorer.map.assume_occupied(obstacle)
+        if self._settings.kind == "ground":
+            self._explorer.map.assume_occupied(self._barrier(pose, plan))
         self._watchdog.idle()
         self.drop(now_s)
         self._back_off.start(now_s, pose, self._explorer.trail)
+
+    def _barrier(self, pose: Pose, plan: Plan) -> FloatArray:
+        """Points (N, 3) of a wall as wide as the body across the way, just ahead of it."""
+        way = remaining_path(pose.position, plan.path)
+        forward = way[min(1, len(way) - 1)] - way[0]
+        heading = np.arctan2(forward[1], forward[0])
+        length, width, height = self._settings.size_m
+        across = np.arange(-width / 2, width / 2 + 0.1, 0.2)
+        up = np.arange(0.5, height, 0.2)
+        points = np.array([(length / 2 + 0.15, side, level) for side in across for level in up])
+        return pose.position + points @ Pose.from_rpy(np.zeros(3), yaw_rad=float(heading)).rotation.T

@@ -18,6 +18,7 @@ MAX_TURNS = 8
 BACK_OFF_S = 4.0
 BACK_OFF_M = 0.8
 BACK_OFF_SPEED_M_S = 0.3
+OTHER_WAY_RAD = 2.4
 
 
 @dataclass
@@ -56,16 +57,24 @@ class Watchdog:
 
 
 class BackOff:
-    """Going back a little on the own trail without turning, which every body can do that got there."""
+    """Going back a little on the own trail without turning, which every body can do that got there.
+
+    When even that does not move the robot it tries other directions, one after the other.
+    """
 
     def __init__(self) -> None:
         self._until_s = -np.inf
         self._target: FloatArray | None = None
+        self._from: FloatArray | None = None
+        self._tries = 0
 
     def start(self, now_s: float, pose: Pose, trail: list[FloatArray]) -> None:
         """Begin to go back to the newest place of the trail that is far enough away."""
         places = [place for place in trail if np.linalg.norm(place - pose.position) >= BACK_OFF_M]
         self._target = places[-1] if places else None
+        moved = self._from is None or np.linalg.norm(pose.position - self._from) > PROGRESS_M
+        self._tries = 0 if moved else self._tries + 1
+        self._from = pose.position.copy()
         self._until_s = now_s + BACK_OFF_S
 
     def command(self, now_s: float, pose: Pose) -> Velocity | None:
@@ -77,4 +86,5 @@ class BackOff:
         if distance < 0.2:
             self._target = None
             return None
-        return Velocity(offset / distance * BACK_OFF_SPEED_M_S, 0.0)
+        aside = Pose.from_rpy(np.zeros(3), yaw_rad=self._tries * OTHER_WAY_RAD).rotation
+        return Velocity(aside @ offset / distance * BACK_OFF_SPEED_M_S, 0.0)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -196,8 +197,9 @@ def test_a_team_that_is_not_in_the_configuration_is_refused():
         select_team(config, "ground")
 
 
-def test_a_start_where_no_robot_fits_is_refused_before_anything_runs(tmp_path):
-    block = room([(x, -0.4, 0.1, x + 0.1, 0.4, 2.9) for x in np.arange(-4.0, -2.0, 0.2)])
-    with pytest.raises(InputError):
-        simulate(CONFIG, block, 1, tmp_path)
+@pytest.mark.parametrize("start", [(20.0, 0.0, 0.0), (-3.0, 0.0, 9.0)])
+def test_a_start_without_ground_or_space_is_refused_before_anything_runs(tmp_path, start):
+    world = replace(room(), start=np.array(start))
+    with pytest.raises(InputError, match="start"):
+        simulate(CONFIG, world, 1, tmp_path)
     assert not (tmp_path / "metrics.json").exists()

@@ -19,7 +19,9 @@ from simulation.worlds.solids import up
 from simulation.worlds.voxels import Voxels, casting_scene, voxelise
 
 SEEDS = (1, 2, 3)
-EVERY = [(name, seed) for name in GENERATORS for seed in SEEDS]
+EVERY = [
+    pytest.param(name, seed, marks=[pytest.mark.slow] * (seed == 3)) for name in GENERATORS for seed in SEEDS
+]
 VOXEL_M = 0.2
 STEP_M = 0.25
 Bools = NDArray[np.bool_]
