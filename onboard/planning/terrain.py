@@ -204,7 +204,7 @@ def _rises(window: I8, x: int, y: int, z: int, far2: int) -> bool:
 @njit(cache=True, nogil=True)
 def _drops(window: I8, x: int, y: int, z: int, depth: int) -> bool:
     """Whether free space is known at level z and `depth` voxels below it, where a floor should be."""
-    for level in range(z - depth, z + 1):
+    for level in range(z - depth, z + 1):  # noqa: SIM110  # numba compiles no generators
         if level < 0 or window[x, y, level] != FREE:
             return False
     return True
