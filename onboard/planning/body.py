@@ -10,6 +10,7 @@ from onboard.core.lidar import lidar_model
 from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
 from onboard.planning.aerial_graph import Area, build_aerial_graph
 from onboard.planning.gain import GainModel
+from onboard.planning.gait import gait_of
 from onboard.planning.ground_graph import build_ground_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph
 
@@ -28,6 +29,7 @@ class Body:
             voxel_m=voxel_m,
             occlusion_rate_per_m=settings.planner.occlusion_rate_per_m,
         )
+        self._gait = gait_of(settings.size_m, settings.step_max_m, settings.slope_max_rad, voxel_m)
         length, width, height = settings.size_m
         if settings.kind == "ground":
             # the upper half of the body: below it, a tread of the stairs ahead would look like an obstacle
@@ -42,7 +44,7 @@ class Body:
     ) -> LocalGraph:
         """Local graph rooted at the body's reference point (3,)."""
         if self.settings.kind == "ground":
-            return build_ground_graph(voxel_map, point, self.planner)
+            return build_ground_graph(voxel_map, point, self.planner, self._gait)
         return build_aerial_graph(
             voxel_map, point, self.planner, self.settings.size_m, rng, seeds, self.area_m
         )

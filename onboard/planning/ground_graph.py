@@ -47,7 +47,7 @@ class GroundGraph:
 
 
 def build_ground_graph(
-    voxel_map: VoxelMap, floor_point: FloatArray, settings: PlannerSettings
+    voxel_map: VoxelMap, floor_point: FloatArray, settings: PlannerSettings, gait: Gait = LEGGED
 ) -> GroundGraph:
     """Graph around a robot whose feet stand at `floor_point` (3,) of the map frame."""
     voxel_m = voxel_map.voxel_m
@@ -58,4 +58,4 @@ def build_ground_graph(
     window = np.ascontiguousarray(
         dense_window(voxel_map, lower, (int(shape[0]), int(shape[1]), int(shape[2])))
     )
-    return GroundGraph(walkable(window, lower, voxel_m, root - lower), settings.vertices)
+    return GroundGraph(walkable(window, lower, voxel_m, root - lower, gait), settings.vertices)

@@ -20,22 +20,14 @@ from numpy.typing import NDArray
 
 from onboard.mapping.voxel_map import FREE, OCCUPIED
 from onboard.planning import walks
+from onboard.planning.gait import LEGGED, Gait
 from onboard.planning.walks import F32, NO_FLOOR
 
 I8 = NDArray[np.uint8]
 I32 = NDArray[np.int32]
 
-BODY_LOW, BODY_HIGH = 2, 4
-"""Voxels above the floor voxel that the body sweeps: below, a leg steps over; above, nothing collides."""
-HARD_RADIUS2 = 4
-"""Squared cells around the body's centre that must be free (half the body's width plus a margin)."""
-EDGE_RADIUS2 = 10
-"""Squared cells around the centre over which no part of the body may hang: half its length and a margin."""
-TURN_RADIUS2 = 9
-"""Squared cells that must be free for the body to turn on the spot; tighter places cost `TIGHT_FACTOR`."""
 TIGHT_FACTOR = 8.0
-SOFT_CELLS = 4
-MAX_RISE = 1
+"""Cost of places that the body passes but cannot turn in."""
 TRACE_COLUMNS = 3
 
 
@@ -110,31 +102,37 @@ class Terrain:
 
 
 def walkable(
-    window: I8, lower: NDArray[np.int64], voxel_m: float, root: NDArray[np.int64], bridge: int = 4
+    window: I8,
+    lower: NDArray[np.int64],
+    voxel_m: float,
+    root: NDArray[np.int64],
+    gait: Gait = LEGGED,
+    bridge: int = 4,
 ) -> Terrain:
     """Grow the lattice from the cell `root` of a window (nx, ny, nz) of FREE / OCCUPIED / UNKNOWN.
 
-    `bridge` is the number of unknown columns that may be assumed to continue the floor.
+    `gait` says what the body can do; `bridge` is the number of unknown columns that may be assumed to
+    continue the floor.
     """
     cost = np.full(window.shape, np.inf, np.float32)
     parent = np.full(window.shape, -1, np.int32)
     assumed = np.zeros(window.shape, np.uint8)
-    level = _floor_near(window, int(root[0]), int(root[1]), int(root[2]), 2)
+    level = _floor_near(window, gait, int(root[0]), int(root[1]), int(root[2]), 2)
     start = np.array([root[0], root[1], level if level != NO_FLOOR else root[2]], np.int64)
     weight = np.full(window.shape, -1, np.float32)
-    _grow(window, start, bridge, cost, weight, parent.reshape(-1), assumed)
+    _grow(window, gait, start, bridge, cost, weight, parent.reshape(-1), assumed)
     return Terrain(np.asarray(lower), voxel_m, cost, weight, parent, assumed)
 
 
 @njit(cache=True, nogil=True)
-def _floor_near(window: I8, x: int, y: int, z: int, reach: int) -> int:
+def _floor_near(window: I8, gait: Gait, x: int, y: int, z: int, reach: int) -> int:
     """Level of the floor voxel of column (x, y) closest to z within `reach`, or NO_FLOOR."""
     for offset in range(reach + 1):
         for sign in (1, -1):
             level = z + sign * offset
-            if 0 <= level < window.shape[2] - BODY_HIGH - 1 and window[x, y, level] == OCCUPIED:
+            if 0 <= level < window.shape[2] - gait.high - 1 and window[x, y, level] == OCCUPIED:
                 clear = True
-                for k in range(1, BODY_HIGH + 1):
+                for k in range(1, gait.high + 1):
                     if window[x, y, level + k] == OCCUPIED:
                         clear = False
                 if clear:
@@ -143,12 +141,12 @@ def _floor_near(window: I8, x: int, y: int, z: int, reach: int) -> int:
 
 
 @njit(cache=True, nogil=True)
-def _next_level(window: I8, x: int, y: int, z: int) -> tuple[int, bool]:
+def _next_level(window: I8, gait: Gait, x: int, y: int, z: int) -> tuple[int, bool]:
     """Floor level of the neighbouring column (x, y) when coming from level z, and whether it is assumed."""
-    level = _floor_near(window, x, y, z, MAX_RISE)
+    level = _floor_near(window, gait, x, y, z, gait.rise)
     if level != NO_FLOOR:
         return level, False
-    for k in range(-2, BODY_HIGH + 1):
+    for k in range(-2, gait.high + 1):
         if not 0 <= z + k < window.shape[2]:
             return NO_FLOOR, False
         state = window[x, y, z + k]
@@ -158,40 +156,40 @@ def _next_level(window: I8, x: int, y: int, z: int) -> tuple[int, bool]:
 
 
 @njit(cache=True, nogil=True)
-def _standable(window: I8, x: int, y: int, z: int) -> float:
+def _standable(window: I8, gait: Gait, x: int, y: int, z: int) -> float:
     """Cost factor of standing at a floor cell: inf if the body would touch something or hang over."""
-    nearest2 = (SOFT_CELLS + 1) ** 2
-    for dx in range(-SOFT_CELLS, SOFT_CELLS + 1):
-        for dy in range(-SOFT_CELLS, SOFT_CELLS + 1):
+    nearest2 = (gait.soft + 1) ** 2
+    for dx in range(-gait.soft, gait.soft + 1):
+        for dy in range(-gait.soft, gait.soft + 1):
             far2 = dx * dx + dy * dy
-            if far2 >= nearest2 or far2 > SOFT_CELLS * SOFT_CELLS:
+            if far2 >= nearest2 or far2 > gait.soft * gait.soft:
                 continue
             i, j = x + dx, y + dy
             if not (0 <= i < window.shape[0] and 0 <= j < window.shape[1]):
                 continue
-            for k in range(BODY_LOW, BODY_HIGH + 1):
+            for k in range(gait.low, gait.high + 1):
                 # a floor that rises away from the body is a slope, not an obstacle
                 if (
                     z + k < window.shape[2]
                     and window[i, j, z + k] == OCCUPIED
-                    and not _rises(window, i, j, z, far2)
+                    and not _rises(window, gait, i, j, z, far2)
                 ):
                     nearest2 = far2
                     break
-            if far2 <= EDGE_RADIUS2 and _drops(window, i, j, z, 2 if far2 <= HARD_RADIUS2 else 3):
+            if far2 <= gait.edge2 and _drops(window, i, j, z, 2 if far2 <= gait.hard2 else 3):
                 return np.inf
-    if nearest2 <= HARD_RADIUS2:
+    if nearest2 <= gait.hard2:
         return np.inf
-    if nearest2 <= TURN_RADIUS2:
+    if nearest2 <= gait.turn2:
         return TIGHT_FACTOR
-    return 1.0 + 2.0 * ((SOFT_CELLS + 1) ** 2 - nearest2) / ((SOFT_CELLS + 1) ** 2)
+    return 1.0 + 2.0 * ((gait.soft + 1) ** 2 - nearest2) / ((gait.soft + 1) ** 2)
 
 
 @njit(cache=True, nogil=True)
-def _rises(window: I8, x: int, y: int, z: int, far2: int) -> bool:
+def _rises(window: I8, gait: Gait, x: int, y: int, z: int, far2: int) -> bool:
     """Whether column (x, y) holds a floor that a slope from level z may have reached over that distance."""
-    highest = 1 + int(0.75 * np.sqrt(far2) + 0.5)
-    for level in range(z + BODY_LOW, min(z + highest, window.shape[2] - BODY_HIGH - 2) + 1):
+    highest = 1 + int(gait.slope * np.sqrt(far2) + 0.5)
+    for level in range(z + gait.low, min(z + highest, window.shape[2] - gait.high - 2) + 1):
         if (
             window[x, y, level] == OCCUPIED
             and window[x, y, level + 1] != OCCUPIED
@@ -211,8 +209,10 @@ def _drops(window: I8, x: int, y: int, z: int, depth: int) -> bool:
 
 
 @njit(cache=True, nogil=True)
-def _too_steep(parent: I32, shape: tuple[int, int, int], flat: int, x: int, y: int, z: int) -> bool:
-    """Whether the last metre of the path to (x, y, z) climbs more than stairs (4 voxels over 5 columns)."""
+def _too_steep(
+    parent: I32, shape: tuple[int, int, int], slope: float, flat: int, x: int, y: int, z: int
+) -> bool:
+    """Whether the last metre of the path to (x, y, z) climbs more than `slope` (rise over run)."""
     plane = shape[1] * shape[2]
     for _ in range(5):
         if parent[flat] < 0:
@@ -220,12 +220,19 @@ def _too_steep(parent: I32, shape: tuple[int, int, int], flat: int, x: int, y: i
         flat = parent[flat]
     run2 = (flat // plane - x) ** 2 + ((flat % plane) // shape[2] - y) ** 2
     rise = abs(flat % shape[2] - z)
-    return rise > 2 and rise * rise > 0.64 * run2
+    return rise > 2 and rise * rise > slope * slope * run2
 
 
 @njit(cache=True, nogil=True)
 def _grow(
-    window: I8, root: NDArray[np.int64], bridge: int, cost: F32, factors: F32, parent: I32, assumed: I8
+    window: I8,
+    gait: Gait,
+    root: NDArray[np.int64],
+    bridge: int,
+    cost: F32,
+    factors: F32,
+    parent: I32,
+    assumed: I8,
 ) -> None:
     """Dijkstra over floor cells, costs in cells."""
     nx, ny, nz = window.shape
@@ -242,12 +249,12 @@ def _grow(
                 i, j = x + dx, y + dy
                 if (dx == 0 and dy == 0) or not (0 <= i < nx and 0 <= j < ny):
                     continue
-                k, guessed = _next_level(window, i, j, z)
+                k, guessed = _next_level(window, gait, i, j, z)
                 if k == NO_FLOOR or (guessed and assumed[x, y, z] >= bridge):
                     continue
                 if factors[i, j, k] < 0:
-                    factors[i, j, k] = _standable(window, i, j, k)
-                if factors[i, j, k] == np.inf or _too_steep(parent, window.shape, flat, i, j, k):
+                    factors[i, j, k] = _standable(window, gait, i, j, k)
+                if factors[i, j, k] == np.inf or _too_steep(parent, window.shape, gait.slope, flat, i, j, k):
                     continue
                 length = np.sqrt(np.float32(dx * dx + dy * dy + (k - z) * (k - z)))
                 total = np.float32(reached + length * factors[i, j, k] * (1.3 if guessed else 1.0))

@@ -7,6 +7,7 @@ import numpy as np
 
 from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
+from onboard.mapping.voxel_map import OCCUPIED
 from onboard.mission import FLYING, Facts, Phase
 from onboard.planning.body import Body
 from onboard.planning.deployment import TAKE_OFF_M, AerialOutlook, Decision, Trigger, aerial_outlook
@@ -74,15 +75,17 @@ class Carrier:
         team = self._team
         take_off = pose.position + np.array([0.0, 0.0, team.settings.size_m[2] + TAKE_OFF_M])
         settings = team.config.deployment
-        self._outlook = team.profile.timed(
-            "outlook",
-            aerial_outlook,
-            team.explorer.map,
-            self._virtual,
-            take_off,
-            self._rng,
-            settings.launch_s,
-        )
+        self._outlook = None
+        if self._overhead_clear(pose):
+            self._outlook = team.profile.timed(
+                "outlook",
+                aerial_outlook,
+                team.explorer.map,
+                self._virtual,
+                take_off,
+                self._rng,
+                settings.launch_s,
+            )
         ground = self._ground_gain(plan, settings.rule)
         self._decision = self._trigger.evaluate(ground, self._outlook, team.remaining(now_s), pose)
         team.log(
@@ -93,6 +96,13 @@ class Carrier:
             aerial=round(self._decision.aerial, 3),
             threshold=round(self._decision.threshold, 3),
         )
+
+    def _overhead_clear(self, pose: Pose) -> bool:
+        """Whether nothing is known to hang within the clearance above the carrier's back."""
+        clearance_m = self._team.config.deployment.overhead_clearance_m
+        back = pose.position + np.array([0.0, 0.0, self._team.settings.size_m[2] + clearance_m / 2])
+        box = np.array([0.2, 0.2, clearance_m / 2])
+        return bool(self._team.explorer.map.box_status(back[None], box)[0] != OCCUPIED)
 
     def _ground_gain(self, plan: Plan, rule: str) -> float:
         explorer = self._team.explorer
