@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from onboard.core.config import PlannerSettings
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.mapping.window import dense_window
+from onboard.planning.gait import LEGGED, Gait
 from onboard.planning.local_graph import FloatArray, polyline_length, thin
 from onboard.planning.terrain import Terrain, walkable
 

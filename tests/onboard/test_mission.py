@@ -79,7 +79,7 @@ def test_waiting_needs_an_arrival_and_new_goals_resume_the_exploration():
 @pytest.mark.parametrize("missing", ["arrived", "peers_arrived", "shared", "complete"])
 def test_done_needs_everybody_there_and_everything_exchanged(missing):
     assert Phase.DONE not in followers(Phase.WAITING, **{missing: False})
-    agreed = {name: True for name in ("arrived", "peers_arrived", "shared", "complete")}
+    agreed = dict.fromkeys(("arrived", "peers_arrived", "shared", "complete"), True)
     assert followers(Phase.WAITING, **agreed) == {Phase.DONE}
 
 
