@@ -92,7 +92,11 @@ class Mission:
             self.radio.send(self.now_s, agent.settings.id, target, frame)
         if outputs.release:
             self._open_bracket()
+        before = agent.body.collisions
         agent.move(self.now_s, TICK_S, outputs)
+        if agent.body.collisions > before:
+            place = [round(float(value), 2) for value in agent.pose.position]
+            self._events(round(self.now_s, 3), "collision", robot=agent.name, position=place)
 
     def _open_bracket(self) -> None:
         """The bracket lets go of the next carried robot."""

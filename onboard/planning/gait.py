@@ -8,9 +8,9 @@ import numpy as np
 
 from onboard.core.config import Vector
 
-MARGIN_M = 0.14
-"""Half a voxel of 0.2 m, and what path following is off."""
-TURN_MARGIN_M = 0.07
+MARGIN_M = 0.2
+"""Half a voxel of 0.2 m, what path following is off, and how far a tilted body leans."""
+TURN_MARGIN_M = 0.13
 COMFORT_M = 0.25
 STAIRS_EXTRA_RAD = 0.0873
 """Legs climb stairs a little steeper than smooth slopes: regular steps give foothold."""

@@ -202,10 +202,11 @@ def _rises(window: I8, gait: Gait, x: int, y: int, z: int, far2: int) -> bool:
 @njit(cache=True, nogil=True)
 def _drops(window: I8, x: int, y: int, z: int, depth: int) -> bool:
     """Whether free space is known at level z and `depth` voxels below it, where a floor should be."""
-    for level in range(z - depth, z + 1):  # noqa: SIM110  # numba compiles no generators
+    for level in range(z - depth, z + 1):  # numba compiles no generators
         if level < 0 or window[x, y, level] != FREE:
             return False
-    return True
+    # the floor may go on higher up, as where stairs end on a thin slab
+    return bool(window[x, y, z + 1] != OCCUPIED and window[x, y, z + 2] != OCCUPIED)
 
 
 @njit(cache=True, nogil=True)

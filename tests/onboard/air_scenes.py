@@ -10,7 +10,7 @@ Corner = tuple[float, float, float]
 
 
 def hollow(*rooms: tuple[Corner, Corner]) -> VoxelMap:
-    """Free boxes whose surfaces, where they do not open into each other, are occupied; the rest is unknown."""
+    """Free boxes, occupied surfaces where they do not open into each other, and the rest unknown."""
     voxel_map = VoxelMap(0.2)
     for lower, upper in rooms:
         voxel_map.assume_free(lower, upper)

@@ -53,7 +53,9 @@ def window_of(heights: Heights) -> Statuses:
     return window
 
 
-def put(window: Statuses, lower: tuple[float, ...], upper: tuple[float, ...], status: int = OCCUPIED) -> Statuses:
+def put(
+    window: Statuses, lower: tuple[float, ...], upper: tuple[float, ...], status: int = OCCUPIED
+) -> Statuses:
     """Set the voxels of a box (metres), in place."""
     first = np.round(np.array(lower) / VOXEL_M).astype(int) - LOWER
     last = np.round(np.array(upper) / VOXEL_M).astype(int) - LOWER

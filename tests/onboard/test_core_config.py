@@ -87,7 +87,9 @@ OUTSIDE = [(path, value) for path, field in FIELDS for value in beyond(field)]
 
 
 def test_every_number_of_the_schema_is_bounded():
-    open_ended = {path[-1] for path, field in FIELDS if field.annotation in (int, float) and not beyond(field)}
+    open_ended = {
+        path[-1] for path, field in FIELDS if field.annotation in (int, float) and not beyond(field)
+    }
     assert open_ended == set()
     assert len(OUTSIDE) >= 40
 

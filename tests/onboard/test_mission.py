@@ -10,7 +10,9 @@ import pytest
 from onboard.mission import AT_REGROUP, FLYING, Facts, Phase, next_phase
 
 NAMES = [field.name for field in fields(Facts)]
-EVERYTHING = [Facts(**dict(zip(NAMES, values, strict=True))) for values in product((False, True), repeat=len(NAMES))]
+EVERYTHING = [
+    Facts(**dict(zip(NAMES, values, strict=True))) for values in product((False, True), repeat=len(NAMES))
+]
 
 SUCCESSORS = {
     Phase.CARRIED: {Phase.TAKING_OFF},
@@ -90,7 +92,9 @@ def test_every_role_can_get_done_and_only_by_waiting(start):
         fringe = {after for phase in fringe for after in followers(phase)} - reached
         reached |= fringe
     assert Phase.DONE in reached
-    assert [phase for phase in Phase if Phase.DONE in followers(phase) and phase != Phase.DONE] == [Phase.WAITING]
+    assert [phase for phase in Phase if Phase.DONE in followers(phase) and phase != Phase.DONE] == [
+        Phase.WAITING
+    ]
     assert (Phase.CARRYING in reached) is (start == Phase.CARRYING)
     assert (Phase.CARRIED in reached) is (start == Phase.CARRIED)
 

@@ -125,6 +125,13 @@ def test_the_ground_robot_turns_before_it_walks_and_the_aerial_one_flies_at_once
     assert speed_at("aerial", behind, STRAIGHT) == pytest.approx(1.0)
 
 
+def test_legs_walk_backwards_rather_than_turn_round():
+    command = follow(ROBOTS["ground"], at(2, 0, yaw=np.pi), STRAIGHT)
+    assert command.linear == pytest.approx([0.7, 0, 0])
+    assert command.yaw_rate == pytest.approx(0, abs=1e-9)
+    assert abs(follow(ROBOTS["aerial"], at(2, 0, yaw=3.0), STRAIGHT).yaw_rate) == pytest.approx(0.8)
+
+
 def test_height_is_the_terrains_business_for_a_walker_and_part_of_the_way_for_a_flyer():
     climb = path_of((0, 0, 0), (0, 0, 3))
     assert finished(ROBOTS["ground"], at(0, 0), climb)

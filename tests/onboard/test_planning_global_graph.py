@@ -1,4 +1,4 @@
-"""The sparse graph of places against plain all-pairs shortest paths, and its laws about trails and frontiers."""
+"""The sparse graph of places: against all-pairs shortest paths, and its laws on trails and frontiers."""
 
 from __future__ import annotations
 

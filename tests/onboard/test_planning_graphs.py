@@ -22,7 +22,9 @@ DOOR = ((6, 2, 0), (6.4, 3.6, 2.2))
 CENTRE = np.array([3.1, 3.1, 1.5])
 
 
-def flight_graph(voxel_map: VoxelMap, centre: np.ndarray = CENTRE, seed: int = 0, **more: object) -> AerialGraph:
+def flight_graph(
+    voxel_map: VoxelMap, centre: np.ndarray = CENTRE, seed: int = 0, **more: object
+) -> AerialGraph:
     rng = np.random.default_rng(seed)
     return build_aerial_graph(voxel_map, centre, SETTINGS, BODY_M, rng, **more)
 
@@ -100,7 +102,8 @@ def test_without_known_space_there_is_only_the_root():
 
 
 @pytest.mark.parametrize(
-    ("lower", "side_m", "passes"), [((2.6, 1.2), 0.6, False), ((2.4, 1.0), 1.0, True), ((2.4, 0.8), 1.4, True)]
+    ("lower", "side_m", "passes"),
+    [((2.6, 1.2), 0.6, False), ((2.4, 1.0), 1.0, True), ((2.4, 0.8), 1.4, True)],
 )
 def test_a_window_into_a_shaft(lower, side_m, passes):
     """Through a window in the wall, then up a shaft of 1.6 m."""

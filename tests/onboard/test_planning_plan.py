@@ -36,7 +36,14 @@ def test_what_remains_starts_at_the_robot_and_ends_at_the_goal(path, fraction):
 
 @pytest.mark.parametrize(
     ("point", "length"),
-    [((0, 0, 0), 8.0), ((3, 0, 0), 5.0), ((3, 0.2, 0), 5.02), ((4, 1, 0), 3.0), ((4, 4, 0), 0.0), ((-1, 0, 0), 9.0)],
+    [
+        ((0, 0, 0), 8.0),
+        ((3, 0, 0), 5.0),
+        ((3, 0.2, 0), 5.02),
+        ((4, 1, 0), 3.0),
+        ((4, 4, 0), 0.0),
+        ((-1, 0, 0), 9.0),
+    ],
 )
 def test_corners_behind_the_robot_are_left_out(point, length):
     assert polyline_length(remaining_path(np.array(point, float), L_SHAPE)) == pytest.approx(length, abs=0.03)

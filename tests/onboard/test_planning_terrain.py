@@ -265,15 +265,15 @@ def test_the_same_window_gives_the_same_bytes(seed):
 
 def test_cells_are_found_from_points():
     terrain = walk(window_of(flat))
-    place = np.array([6.3, 2.7, 0.1])
-    found = terrain.cell_at(np.stack([place, place + [0, 0, 0.2]]))
+    place, up = np.array([6.3, 2.7, 0.1]), np.array([0.0, 0.0, 1.0])
+    found = terrain.cell_at(np.stack([place, place + 0.2 * up]))
     assert found is not None
     assert np.array_equal(found[0], cell(*place))
     assert np.array_equal(found[1], found[0])
-    assert terrain.cell_at(np.stack([place, place + [0, 0, 1.0]])) is None
+    assert terrain.cell_at(np.stack([place, place + up])) is None
     assert terrain.cell_at(np.array([[-3.0, 0.0, 0.0]])) is None
-    nearest = terrain.nearest_cell(place + [0, 0, 0.7], 0.8)
+    nearest = terrain.nearest_cell(place + 0.7 * up, 0.8)
     assert nearest is not None
     assert np.array_equal(nearest, found[0])
-    assert terrain.nearest_cell(place + [0, 0, 0.7], 0.5) is None
+    assert terrain.nearest_cell(place + 0.7 * up, 0.5) is None
     assert terrain.points(found[:1])[0] == pytest.approx([6.3, 2.7, 0.1])

@@ -1,4 +1,4 @@
-"""Whole missions of the cores in a small room: they deploy, explore, share, meet again, with and without radio."""
+"""Whole missions of the cores in a small room: they deploy, explore, share, meet, with and without radio."""
 
 from __future__ import annotations
 
@@ -149,6 +149,17 @@ def test_a_ground_robot_without_an_aerial_one_explores_at_once_and_comes_home(al
     assert ground.core.arrived_s < 50.0
     assert not [event for event in events if event[1] in ("trigger", "deploy", "release")]
     assert ground.body.path_m > 5.0
+
+
+def test_under_a_low_ceiling_nobody_takes_off_and_both_come_home():
+    low = room([(-6.0, -4.0, 1.5, 6.0, 4.0, 1.7)])
+    mission, events = played(both_robots(45.0), low)
+    reasons = [fields["reason"] for _, kind, fields in events if kind == "trigger"]
+    assert reasons[-1] == "take-off space not clear"
+    assert mission.agents[1].carried
+    assert mission.agents[1].body.path_m == 0.0
+    assert mission.agents[0].core.arrived_s is not None
+    assert np.linalg.norm(mission.agents[0].pose.position - mission.world.start) < 3.0
 
 
 def test_the_room_behind_the_partition_is_seen(alone):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -147,7 +148,7 @@ def test_progress_goes_on_and_ends_with_the_result(finished):
     times = [progress.time_s for progress in seen]
     assert times == sorted(times)
     assert times[0] == 0.0
-    assert max(b - a for a, b in zip(times, times[1:], strict=False)) < 5.5
+    assert max(b - a for a, b in pairwise(times)) < 5.5
     assert seen[0].phase == "carrying/carried"
     assert all(progress.duration_s == 40.0 for progress in seen)
     unions = [progress.union_m3 for progress in seen]

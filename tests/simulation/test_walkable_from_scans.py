@@ -1,4 +1,4 @@
-"""The same floors that the simulated base can walk, as the planner maps them with a VLP-16 while approaching."""
+"""The floors that the simulated base can walk, as the planner sees them through a VLP-16."""
 
 from __future__ import annotations
 
@@ -65,8 +65,8 @@ def test_kerbs_are_steps_and_walls_are_not(stairs, height_m, walked):
 
 @pytest.mark.parametrize(("gap_m", "walked"), [(0.5, False), (1.2, True)])
 def test_gaps(scene_of, gap_m, walked):
-    half = gap_m / 2
-    sides = [(1.0, half, 0.0, 1.2, 3.0, 2.5), (1.0, -3.0, 0.0, 1.2, -half, 2.5)]
+    left, right = 0.1 + gap_m / 2, 0.1 - gap_m / 2
+    sides = [(1.0, left, 0.0, 1.2, 3.0, 2.5), (1.0, -3.0, 0.0, 1.2, right, 2.5)]
     graph = approach(scene_of([FLOOR, *WALLS, *sides]))
     assert reaches(graph, 4.0, 0.0) is walked
 
