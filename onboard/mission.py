@@ -1,7 +1,7 @@
 """The phases of a mission as a pure state machine: what each robot is doing, and what makes it do the next
 thing.
 
-    ground  CARRYING -> DEPLOYING -> EXPLORING -> RETURNING -> WAITING -> DONE
+    ground  CARRYING <-> DEPLOYING -> EXPLORING -> RETURNING -> WAITING -> DONE
     aerial  CARRIED -> TAKING_OFF -> EXPLORING -> RETURNING -> WAITING -> DONE
 
 A ground robot without an aerial one begins in EXPLORING and is DONE when it is back.
@@ -42,6 +42,8 @@ class Facts:
     """Everything that must reach the peers has been acknowledged by them."""
     released: bool = False
     """The carrier released this robot (aerial)."""
+    aborted: bool = False
+    """The deployment cannot go on (carrier)."""
     peer_clear: bool = False
     """The deployed robot is far enough from its carrier (carrier), or the climb is done (aerial)."""
     nothing_left: bool = False
@@ -70,6 +72,12 @@ def _carrying(facts: Facts) -> Phase:
     return Phase.RETURNING if facts.nothing_left or facts.must_return else Phase.CARRYING
 
 
+def _deploying(facts: Facts) -> Phase:
+    if facts.aborted:
+        return Phase.CARRYING
+    return Phase.EXPLORING if facts.peer_clear else Phase.DEPLOYING
+
+
 def _exploring(facts: Facts) -> Phase:
     return Phase.RETURNING if facts.nothing_left or facts.must_return else Phase.EXPLORING
 
@@ -91,7 +99,7 @@ def _waiting(facts: Facts) -> Phase:
 _RULES: dict[Phase, Callable[[Facts], Phase]] = {
     Phase.CARRIED: lambda facts: Phase.TAKING_OFF if facts.released else Phase.CARRIED,
     Phase.CARRYING: _carrying,
-    Phase.DEPLOYING: lambda facts: Phase.EXPLORING if facts.peer_clear else Phase.DEPLOYING,
+    Phase.DEPLOYING: _deploying,
     Phase.TAKING_OFF: lambda facts: Phase.EXPLORING if facts.peer_clear else Phase.TAKING_OFF,
     Phase.EXPLORING: _exploring,
     Phase.RETURNING: _returning,

@@ -52,7 +52,7 @@ def simulate(
     """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`.
 
     `team` is "both" or "ground". Returns the metrics. After ctrl-C the directory holds what there is and
-    KeyboardInterrupt goes on. Raises InputError for a start where a robot does not fit.
+    KeyboardInterrupt goes on. Raises InputError for a start without ground or without room to fly.
     """
     started = time.perf_counter()
     config = within_world(select_team(config, team), world)
@@ -71,11 +71,9 @@ def simulate(
 
 def select_team(config: Config, team: str) -> Config:
     """The configuration with only the robots that take part."""
-    if team == "both":
-        return config
-    robots = tuple(robot for robot in config.robots if robot.kind == team)
-    if not robots:
-        raise ConfigError(f"no {team} robot in the configuration")
+    robots = tuple(robot for robot in config.robots if team in ("both", robot.kind))
+    if not any(robot.kind == "ground" for robot in robots):
+        raise ConfigError("robots: a mission needs a ground robot, which carries the others")
     return config.model_copy(update={"robots": robots})
 
 

@@ -6,7 +6,7 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
 
 from onboard.core.errors import ConfigError
 
@@ -14,12 +14,13 @@ Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
 Ratio = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[float, float, float]
+Size = tuple[Positive, Positive, Positive]
 
 
 class Section(BaseModel):
     """Base of every table: unknown keys are an error and values never change after loading."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True)
+    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
 class LidarSettings(Section):
@@ -50,7 +51,7 @@ class MapSettings(Section):
 class PlannerSettings(Section):
     """Local and global planning of one robot; the symbols are those of docs/planner.md."""
 
-    window_m: Vector = (30.0, 30.0, 8.0)
+    window_m: Size = (30.0, 30.0, 8.0)
     vertices: Annotated[int, Field(ge=20, le=5000)] = 600
     edge_max_m: Positive = 3.0
     clearance_m: NonNegative = 0.15
@@ -73,7 +74,7 @@ class RobotSettings(Section):
     name: Annotated[str, Field(min_length=1, max_length=16)]
     id: Annotated[int, Field(ge=0, le=255)]
     kind: Literal["ground", "aerial"]
-    size_m: Vector
+    size_m: Size
     speed_m_s: Positive
     yaw_rate_rad_s: Positive
     acceleration_m_s2: Positive
@@ -119,6 +120,13 @@ class MissionSettings(Section):
     regroup_radius_m: Positive = 3.0
     contact_timeout_s: Positive = 3.0
     regroup_period_s: Positive = 15.0
+
+    @field_validator("area_m")
+    @classmethod
+    def _not_inside_out(cls, area: tuple[Vector, Vector] | None) -> tuple[Vector, Vector] | None:
+        if area is not None and any(low >= high for low, high in zip(*area, strict=True)):
+            raise ValueError("each lower coordinate must be below the upper one")
+        return area
 
 
 class Config(Section):

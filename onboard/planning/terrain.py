@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from onboard.mapping.voxel_map import FREE, OCCUPIED
 from onboard.planning import walks
-from onboard.planning.gait import LEGGED, Gait
+from onboard.planning.gait import LEGGED, QUANTISATION, Gait
 from onboard.planning.walks import F32, NO_FLOOR
 
 I8 = NDArray[np.uint8]
@@ -188,7 +188,7 @@ def _standable(window: I8, gait: Gait, x: int, y: int, z: int) -> float:
 @njit(cache=True, nogil=True)
 def _rises(window: I8, gait: Gait, x: int, y: int, z: int, far2: int) -> bool:
     """Whether column (x, y) holds a floor that a slope from level z may have reached over that distance."""
-    highest = 1 + int(gait.slope * np.sqrt(far2) + 0.5)
+    highest = int(np.ceil((gait.slope - QUANTISATION) * np.sqrt(far2)))
     for level in range(z + gait.low, min(z + highest, window.shape[2] - gait.high - 2) + 1):
         if (
             window[x, y, level] == OCCUPIED

@@ -7,19 +7,18 @@ import numpy as np
 
 from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
-from onboard.mapping.voxel_map import OCCUPIED
+from onboard.mapping.voxel_map import FREE
 from onboard.mission import FLYING, Facts, Phase
 from onboard.planning.body import Body
 from onboard.planning.deployment import TAKE_OFF_M, AerialOutlook, Decision, Trigger, aerial_outlook
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
 from onboard.planning.regroup import Acceptor, thinned
+from onboard.robot.handover import HandOver, Outcome
 from onboard.robot.roles import Team, vector
-from onboard.sharing.messages import Ack, Commit, Message, Propose, Release, Target, Times, TravelTime
+from onboard.sharing.messages import Ack, Commit, Message, Propose, Times, TravelTime
 
-CLEAR_M = 2.0
-HANDOVER_TIMEOUT_S = 60.0
-CLEAR_TIMEOUT_S = 20.0
+RETRY_S = 120.0
 TIMES_SPACING_M = 3.0
 MAX_OFFERED = 60
 DOUBT_WAIT_S = 20.0
@@ -37,9 +36,9 @@ class Carrier:
         home = team.sensing.sensor_pose(start).position
         self._acceptor = Acceptor([home])
         self._doubt_since_s: float | None = None
-        self._deployed: RobotSettings | None = None
-        self._deploying_since_s = 0.0
-        self._released_s: float | None = None
+        self._deployed: list[RobotSettings] = []
+        self._hand_over: HandOver | None = None
+        self._not_before_s = 0.0
         self._times_sent_s = -np.inf
         self._decision: Decision | None = None
         self._outlook: AerialOutlook | None = None
@@ -60,10 +59,12 @@ class Carrier:
     def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
         decision = self._decision
         self._decision = None
+        outcome = self._deploy(now_s, pose) if phase == Phase.DEPLOYING else Outcome.UNDER_WAY
         return Facts(
-            fire=decision is not None and decision.fire and bool(self._aboard),
+            fire=decision is not None and decision.fire,
             shared=self._team.all_shared(),
-            peer_clear=phase == Phase.DEPLOYING and self._hand_over(now_s, pose),
+            peer_clear=outcome == Outcome.DONE,
+            aborted=outcome == Outcome.ABORTED,
             peers_arrived=self._team.peers_arrived(now_s),
             complete=self._team.all_received(),
         )
@@ -71,6 +72,8 @@ class Carrier:
     def planned(self, now_s: float, phase: Phase, pose: Pose, plan: Plan) -> None:
         """Ask the deployment question after every planning cycle while carrying."""
         if phase != Phase.CARRYING or self._trigger is None or self._virtual is None:
+            return
+        if now_s < self._not_before_s:
             return
         team = self._team
         take_off = pose.position + np.array([0.0, 0.0, team.settings.size_m[2] + TAKE_OFF_M])
@@ -98,11 +101,11 @@ class Carrier:
         )
 
     def _overhead_clear(self, pose: Pose) -> bool:
-        """Whether nothing is known to hang within the clearance above the carrier's back."""
+        """Whether the clearance above the carrier's back is known to be free."""
         clearance_m = self._team.config.deployment.overhead_clearance_m
         back = pose.position + np.array([0.0, 0.0, self._team.settings.size_m[2] + clearance_m / 2])
         box = np.array([0.2, 0.2, clearance_m / 2])
-        return bool(self._team.explorer.map.box_status(back[None], box)[0] != OCCUPIED)
+        return bool(self._team.explorer.map.box_status(back[None], box)[0] == FREE)
 
     def _ground_gain(self, plan: Plan, rule: str) -> float:
         explorer = self._team.explorer
@@ -121,49 +124,24 @@ class Carrier:
                     team.link.set_sharing(peer, True)
         if phase != Phase.DEPLOYING:
             return
-        self._deployed = self._aboard[0]
-        self._deploying_since_s, self._released_s = now_s, None
-        place = team.sensing.sensor_pose(pose).position
-        self._acceptor = Acceptor([place], [self._acceptor.epochs[-1]])
-        first = max(0, len(team.keyframe_positions) - team.config.deployment.keyframes_sent)
-        team.link.set_sharing(self._deployed.id, True, first)
         assert self._outlook is not None
-        targets = [vector(target) for target in self._outlook.targets]
-        team.link.post(Target(targets[0], tuple(targets[1:])), self._deployed.id)
-        team.log(
-            "deploy",
-            deployed=self._deployed.name,
-            position=vector(place),
-            target=targets[0],
-            keyframes_from=first,
-        )
+        if not self._deployed:
+            self._acceptor = Acceptor([team.sensing.sensor_pose(pose).position])
+        place = self._acceptor.points[0]
+        self._hand_over = HandOver(team, self._aboard[0], self._outlook, place, now_s)
 
-    def _hand_over(self, now_s: float, pose: Pose) -> bool:
-        """Wait for the map to be shared, open the bracket, wait for the aerial robot to get clear; True
-        when done."""
-        assert self._deployed is not None
-        link, peer = self._team.link, self._deployed.id
-        self.release = False
-        if self._released_s is None:
-            shared = link.unshared(peer) == 0 and link.in_contact(peer, now_s)
-            if shared or now_s - self._deploying_since_s > HANDOVER_TIMEOUT_S:
-                self._released_s = now_s
-                self.release = True
-                self._team.log("release", deployed=self._deployed.name)
-            return False
-        status = link.peer_status(peer)
-        flying = status is not None and Phase(status.phase) in FLYING
-        if not flying:
-            link.post(Release(vector(pose.position)), peer)
-        away = (
-            status is not None
-            and float(np.linalg.norm(np.array(status.position_m) - pose.position)) > CLEAR_M
-        )
-        if (flying and away) or now_s - self._released_s > CLEAR_TIMEOUT_S:
+    def _deploy(self, now_s: float, pose: Pose) -> Outcome:
+        """Go on with the deployment; its end changes who is aboard or when the next try is due."""
+        assert self._hand_over is not None
+        outcome = self._hand_over.step(now_s, pose)
+        self.release = self._hand_over.release
+        if outcome == Outcome.DONE:
+            self._deployed += self._aboard[:1]
             self._aboard = self._aboard[1:]
             self._prepare_next()
-            return True
-        return False
+        elif outcome == Outcome.ABORTED:
+            self._not_before_s = now_s + RETRY_S
+        return outcome
 
     def handle(self, now_s: float, source: int, message: Message, pose: Pose) -> None:
         match message:
@@ -188,7 +166,9 @@ class Carrier:
         """Offer travel times to the own keyframes, and after a fruitless wait try the other doubtful
         point."""
         mission = self._team.config.mission
-        if phase == Phase.EXPLORING and now_s - self._times_sent_s > mission.regroup_period_s:
+        # with several aerial robots the meeting place stays where the first one was released
+        one = len(self._deployed) == 1
+        if phase == Phase.EXPLORING and one and now_s - self._times_sent_s > mission.regroup_period_s:
             self._times_sent_s = now_s
             for peer in self._team.peers:
                 if (

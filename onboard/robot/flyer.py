@@ -67,8 +67,8 @@ class Flyer:
                 self._targets = [np.array(p) for p in (message.position_m, *message.alternatives_m)]
             case Release() if not self._released:
                 self._released = True
-                place = np.array(message.position_m) + self._carrier_mount()
-                self._proposer = Proposer(place)
+                self._carrier = source
+                self._proposer = Proposer(np.array(message.position_m))
             case Times() if self._proposer is not None:
                 self._consider(now_s, source, message, pose)
             case Ack() if self._proposer is not None and self._proposer.acknowledged(message.epoch):
@@ -77,11 +77,6 @@ class Flyer:
                 self._team.log("regroup", position=point, epoch=self._proposer.epoch)
             case _:
                 pass
-
-    def _carrier_mount(self) -> FloatArray:
-        """Height of the carrier's LiDAR over the floor: the regrouping points are positions of that LiDAR."""
-        carrier = next(peer for peer in self._team.peers if peer.id == self._carrier)
-        return np.array(carrier.lidar.mount_m)
 
     def _consider(self, now_s: float, source: int, message: Times, pose: Pose) -> None:
         """Choose among the offered keyframes and start an agreement on the best one."""

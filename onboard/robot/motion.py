@@ -93,7 +93,9 @@ class Motion:
             self._explorer.map.assume_occupied(self._barrier(pose, plan))
         self._watchdog.idle()
         self.drop(now_s)
-        self._back_off.start(now_s, pose, self._explorer.trail)
+        self._back_off.start(
+            now_s, pose, self._explorer.trail, lambda way: self._explorer.path_blocked(way, MONITOR_AHEAD_M)
+        )
 
     def _barrier(self, pose: Pose, plan: Plan) -> FloatArray:
         """Points (N, 3) of a wall as wide as the body across the way, just ahead of it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +20,7 @@ BACK_OFF_S = 4.0
 BACK_OFF_M = 0.8
 BACK_OFF_SPEED_M_S = 0.3
 OTHER_WAY_RAD = 2.4
+OTHER_WAYS = 8
 
 
 @dataclass
@@ -68,14 +70,28 @@ class BackOff:
         self._from: FloatArray | None = None
         self._tries = 0
 
-    def start(self, now_s: float, pose: Pose, trail: list[FloatArray]) -> None:
-        """Begin to go back to the newest place of the trail that is far enough away."""
-        places = [place for place in trail if np.linalg.norm(place - pose.position) >= BACK_OFF_M]
-        self._target = places[-1] if places else None
+    def start(
+        self, now_s: float, pose: Pose, trail: list[FloatArray], blocked: Callable[[FloatArray], bool]
+    ) -> None:
+        """Begin to go back to the newest place of the trail that is far enough away.
+
+        `blocked` tells of a way (2, 3) whether the map shows something in it; such directions are left out.
+        """
         moved = self._from is None or np.linalg.norm(pose.position - self._from) > PROGRESS_M
         self._tries = 0 if moved else self._tries + 1
         self._from = pose.position.copy()
         self._until_s = now_s + BACK_OFF_S
+        places = [place for place in trail if np.linalg.norm(place - pose.position) >= BACK_OFF_M]
+        self._target = None
+        if not places:
+            return
+        offset = places[-1] - pose.position
+        offset *= BACK_OFF_M / np.linalg.norm(offset)
+        for turn in range(self._tries, self._tries + OTHER_WAYS):
+            target = pose.position + _turned(offset, turn * OTHER_WAY_RAD)
+            if not blocked(np.stack([pose.position, target])):
+                self._target, self._tries = target, turn
+                return
 
     def command(self, now_s: float, pose: Pose) -> Velocity | None:
         """The velocity of this step, None when the robot is not backing off (any more)."""
@@ -86,5 +102,8 @@ class BackOff:
         if distance < 0.2:
             self._target = None
             return None
-        aside = Pose.from_rpy(np.zeros(3), yaw_rad=self._tries * OTHER_WAY_RAD).rotation
-        return Velocity(aside @ offset / distance * BACK_OFF_SPEED_M_S, 0.0)
+        return Velocity(offset / distance * BACK_OFF_SPEED_M_S, 0.0)
+
+
+def _turned(offset: FloatArray, angle_rad: float) -> FloatArray:
+    return np.asarray(Pose.from_rpy(np.zeros(3), yaw_rad=angle_rad).rotation @ offset)
