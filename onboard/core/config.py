@@ -98,7 +98,7 @@ class DeploymentSettings(Section):
     debounce_cycles: Annotated[int, Field(ge=1)] = 3
     launch_s: NonNegative = 30.0
     keyframes_sent: Annotated[int, Field(ge=1)] = 300
-    overhead_clearance_m: Positive = 1.2
+    overhead_clearance_m: Positive = 0.8
 
 
 class RadioSettings(Section):

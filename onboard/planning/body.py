@@ -29,6 +29,7 @@ class Body:
             voxel_m=voxel_m,
             occlusion_rate_per_m=settings.planner.occlusion_rate_per_m,
         )
+        self._corners = _circle(np.hypot(*settings.size_m[:2]) / 2, settings.size_m[2])
         self._gait = gait_of(settings.size_m, settings.step_max_m, settings.slope_max_rad, voxel_m)
         length, width, height = settings.size_m
         if settings.kind == "ground":
@@ -55,7 +56,19 @@ class Body:
             return np.zeros(0)
         return np.asarray(self.gain_model.evaluate(voxel_map, points + self.mount, self.area_m), np.float64)
 
+    def room_to_turn(self, voxel_map: VoxelMap, point: FloatArray) -> bool:
+        """Whether nothing is known to stand where the corners of a body at `point` (3,) sweep."""
+        return not bool(np.any(voxel_map.status(point + self._corners) == OCCUPIED))
+
     def blocked(self, voxel_map: VoxelMap, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
         """Whether an occupied voxel lies in the body's way (N,) from (N, 3) to (N, 3)."""
         status = voxel_map.segment_status(starts + self.box_centre, ends + self.box_centre, self.half_extent)
         return np.asarray(status == OCCUPIED)
+
+
+def _circle(radius_m: float, height_m: float) -> FloatArray:
+    """(N, 3) points of the cylinder that the corners of a body sweep, above what legs step over."""
+    angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
+    heights = np.arange(0.5 * height_m, height_m, 0.15)
+    ring = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
+    return np.array([(x, y, z) for x, y in ring for z in heights])

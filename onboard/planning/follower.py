@@ -15,6 +15,10 @@ from onboard.planning.plan import remaining_path
 ALIGN_RAD = 0.4
 BACKWARDS_RAD = 1.8
 REACHED_M = 0.25
+DRIFT_M_S = 0.3
+
+
+REST: FloatArray = np.zeros(3)
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +32,12 @@ class Velocity:
 HALT = Velocity(np.zeros(3), 0.0)
 
 
-def follow(settings: RobotSettings, pose: Pose, path: FloatArray) -> Velocity:
-    """Velocity command along a path (M, 3) of reference points, slowing down for its corners and its end."""
+def follow(settings: RobotSettings, pose: Pose, path: FloatArray, moving: FloatArray = REST) -> Velocity:
+    """Velocity command along a path (M, 3) of reference points, slowing down for its corners and its end.
+
+    `moving` (3,) is the robot's velocity: what of it leads off the path is braked first, for it would carry
+    the robot into what the path avoids.
+    """
     rest = remaining_path(pose.position, path)
     flat = settings.kind == "ground"
     weights = np.array([1.0, 1.0, 0.0 if flat else 1.0])
@@ -39,6 +47,7 @@ def follow(settings: RobotSettings, pose: Pose, path: FloatArray) -> Velocity:
     heading_to = (rest[1] - rest[0]) * weights
     distance = float(np.linalg.norm(heading_to))
     speed = min(settings.speed_m_s, _corner_speed(settings, rest * weights))
+    speed *= _steadiness(heading_to / max(distance, 1e-6), moving * weights)
     error = _yaw_error(pose, heading_to)
     if flat:
         # the body is longer than it is wide, so it walks along its axis; legs walk backwards just as well
@@ -63,6 +72,12 @@ def _without_passed(rest: FloatArray, weights: FloatArray) -> FloatArray:
     return np.concatenate([rest[:1], rest[first:]])
 
 
+def _steadiness(direction: FloatArray, moving: FloatArray) -> float:
+    """1 when the robot moves in this direction, 0 when its drift off it must be stopped first."""
+    drift = moving - max(0.0, float(moving @ direction)) * direction
+    return float(np.clip(1.5 - np.linalg.norm(drift) / DRIFT_M_S, 0.0, 1.0))
+
+
 def _corner_speed(settings: RobotSettings, rest: FloatArray) -> float:
     """Highest speed now from which the robot can slow down for the corners ahead and stop at the end."""
     limit = np.inf
@@ -72,7 +87,7 @@ def _corner_speed(settings: RobotSettings, rest: FloatArray) -> float:
         travelled += float(np.linalg.norm(rest[index] - rest[index - 1]))
         allowed = 0.1
         if index + 1 < len(rest):
-            allowed = max(0.15, settings.speed_m_s * _straightness(rest[index - 1 : index + 2]) ** 2)
+            allowed = max(0.15, settings.speed_m_s * _straightness(rest[index - 1 : index + 2]) ** 4)
         limit = min(limit, float(np.sqrt(allowed**2 + 2 * brake * max(0.0, travelled - 0.1))))
         if travelled > 2.0:
             break

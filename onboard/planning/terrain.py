@@ -26,7 +26,7 @@ from onboard.planning.walks import F32, NO_FLOOR
 I8 = NDArray[np.uint8]
 I32 = NDArray[np.int32]
 
-TIGHT_FACTOR = 8.0
+TIGHT_FACTOR = 15.0
 """Cost of places that the body passes but cannot turn in."""
 TRACE_COLUMNS = 3
 
@@ -53,6 +53,11 @@ class Terrain:
         reached = np.argwhere(np.isfinite(self.cost) & (self.assumed == 0))
         order = np.argsort(self.cost[tuple(reached.T)], kind="stable")
         return reached[order]
+
+    @cached_property
+    def roomy(self) -> NDArray[np.int64]:
+        """(N, 3) those of `cells` in which the body can turn on the spot."""
+        return np.asarray(self.cells[self.weight[tuple(self.cells.T)] < TIGHT_FACTOR])
 
     def points(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Floor points (N, 3) in metres of window cells."""

@@ -16,6 +16,8 @@ MONITOR_S = 0.5
 MONITOR_AHEAD_M = 3.0
 RETRY_S = 1.0
 NEAR_END_M = 0.8
+TURNING_RAD_S = 0.3
+CREEPING_M_S = 0.15
 
 
 class Motion:
@@ -29,6 +31,7 @@ class Motion:
         self._planned_s = -np.inf
         self._checked_s = -np.inf
         self._accepted_blocked = False
+        self._last: tuple[float, FloatArray] = (-np.inf, np.zeros(3))
         self._watchdog = Watchdog()
         self._back_off = BackOff()
 
@@ -60,6 +63,7 @@ class Motion:
 
     def step(self, now_s: float, pose: Pose) -> Velocity:
         """Velocity command of this step; drops a plan that is blocked or does not get on."""
+        moving = self._velocity(now_s, pose)
         backwards = self._back_off.command(now_s, pose)
         if backwards is not None:
             return backwards
@@ -71,7 +75,25 @@ class Motion:
         if self._newly_blocked(now_s, pose, self.plan):
             self.drop(now_s)
             return HALT
-        return follow(self._settings, pose, self.plan.path)
+        command = follow(self._settings, pose, self.plan.path, moving)
+        if self._cramped(pose, command):
+            self._leave(now_s, pose)
+            return HALT
+        return command
+
+    def _velocity(self, now_s: float, pose: Pose) -> FloatArray:
+        """Velocity (3,) by the difference of the last two poses."""
+        last_s, last = self._last
+        self._last = now_s, pose.position.copy()
+        return (pose.position - last) / (now_s - last_s) if now_s > last_s else np.zeros(3)
+
+    def _cramped(self, pose: Pose, command: Velocity) -> bool:
+        """Whether the ground robot is about to turn on the spot where its corners would hit something."""
+        if self._settings.kind != "ground" or abs(command.yaw_rate) < TURNING_RAD_S:
+            return False
+        if np.linalg.norm(command.linear) > CREEPING_M_S:
+            return False
+        return not self._explorer.body.room_to_turn(self._explorer.map, pose.position)
 
     def _newly_blocked(self, now_s: float, pose: Pose, plan: Plan) -> bool:
         """Collision monitor: whether the map now shows an obstacle on the next metres."""
@@ -91,6 +113,10 @@ class Motion:
         self._explorer.refuse(now_s, plan.goal)
         if self._settings.kind == "ground":
             self._explorer.map.assume_occupied(self._barrier(pose, plan))
+        self._leave(now_s, pose)
+
+    def _leave(self, now_s: float, pose: Pose) -> None:
+        """Go back a little without turning and plan anew."""
         self._watchdog.idle()
         self.drop(now_s)
         self._back_off.start(

@@ -66,8 +66,10 @@ class Team:
         return all(self.link.in_contact(p, now_s) and self.peer_phase(p) in AT_REGROUP for p in self.peer_ids)
 
     def all_shared(self) -> bool:
-        """Whether all peers have acknowledged all keyframes that they should get."""
-        return all(self.link.unshared(peer) == 0 for peer in self.peer_ids)
+        """Whether all peers that have left their carrier have acknowledged all keyframes."""
+        return all(
+            self.link.unshared(peer) == 0 or self.peer_phase(peer) == Phase.CARRIED for peer in self.peer_ids
+        )
 
     def all_received(self) -> bool:
         """Whether every keyframe that the peers say they made has arrived here."""

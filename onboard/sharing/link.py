@@ -112,9 +112,8 @@ class LinkCore:
         return self._peer(peer).status
 
     def unshared(self, peer: int) -> int:
-        """Keyframes held here, own or relayed, that `peer` should get and has not acknowledged."""
-        state = self._peer(peer)
-        return len(state.pending) if state.enabled else 0
+        """Keyframes held here, own or relayed, that `peer` has not acknowledged and should get."""
+        return len(self._peer(peer).pending)
 
     def _peer(self, robot_id: int) -> Peer:
         if robot_id not in self._peers:

@@ -17,7 +17,7 @@ EVERYTHING = [
 SUCCESSORS = {
     Phase.CARRIED: {Phase.TAKING_OFF},
     Phase.CARRYING: {Phase.DEPLOYING, Phase.RETURNING},
-    Phase.DEPLOYING: {Phase.EXPLORING},
+    Phase.DEPLOYING: {Phase.EXPLORING, Phase.CARRYING},
     Phase.TAKING_OFF: {Phase.EXPLORING},
     Phase.EXPLORING: {Phase.RETURNING},
     Phase.RETURNING: {Phase.WAITING, Phase.EXPLORING},
@@ -55,8 +55,12 @@ def test_a_carrier_lets_go_only_when_the_trigger_fires_and_then_always():
 
 
 def test_a_carrier_waits_until_the_released_robot_is_clear():
-    assert followers(Phase.DEPLOYING, peer_clear=False) == {Phase.DEPLOYING}
+    assert followers(Phase.DEPLOYING, peer_clear=False, aborted=False) == {Phase.DEPLOYING}
     assert Phase.DEPLOYING not in followers(Phase.DEPLOYING, peer_clear=True)
+
+
+def test_a_deployment_that_cannot_go_on_ends_in_carrying():
+    assert followers(Phase.DEPLOYING, aborted=True) == {Phase.CARRYING}
 
 
 def test_a_carried_robot_takes_off_exactly_when_it_is_released():

@@ -194,7 +194,7 @@ def test_ctrl_c_leaves_what_there_is_and_goes_on(tmp_path):
 
 def test_a_team_that_is_not_in_the_configuration_is_refused():
     config = CONFIG.model_copy(update={"robots": CONFIG.robots[1:]})
-    with pytest.raises(ConfigError, match="no ground robot in the configuration"):
+    with pytest.raises(ConfigError, match="a mission needs a ground robot"):
         select_team(config, "ground")
 
 
