@@ -118,6 +118,13 @@ def load(directory: Path, duration_s: float) -> dict[str, Any] | None:
     return metrics
 
 
+def volume_at(directory: Path, time_s: float) -> float:
+    """Volume in m^3 that the team of a run had seen after this time, or at its end if that came earlier."""
+    timeline = json.loads((directory / "timeline.json").read_text(encoding="utf-8"))
+    seen = zip(timeline["time_s"], timeline["explored_m3/union"], strict=True)
+    return max(float(volume) for at_s, volume in seen if at_s <= time_s)
+
+
 def is_current(directory: Path, duration_s: float) -> bool:
     """Whether the run is there for this duration and these sources."""
     return load(directory, duration_s) is not None and stamp(directory).get("sources") == source_digest()

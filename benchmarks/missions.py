@@ -78,9 +78,13 @@ def load_pairs(missions: Sequence[Mission], settings: Settings) -> list[tables.P
     """Team and ground-alone results side by side; only worlds with at least one result."""
     pairs = []
     for (world, seed), group in groupby(missions, key=lambda mission: (mission.world, mission.seed)):
-        runs = {m.team: matrix.load(settings.out / m.name, settings.duration_s) for m in group}
+        members = {mission.team: settings.out / mission.name for mission in group}
+        runs = {team: matrix.load(path, settings.duration_s) for team, path in members.items()}
+        both, alone = runs.get("both"), runs.get("ground")
+        if both is not None and alone is not None:
+            alone = alone | {"then_m3": matrix.volume_at(members["ground"], both["duration_s"])}
         if any(runs.values()):
-            pairs.append(tables.Pair(world, seed, runs.get("both"), runs.get("ground")))
+            pairs.append(tables.Pair(world, seed, both, alone))
     return pairs
 
 
@@ -91,7 +95,9 @@ def table_text(pairs: Sequence[tables.Pair], missions: Sequence[Mission], settin
     jobs = ", ".join(sorted({stamp["jobs"] for stamp in stamps}))
     text = (
         f"Missions of {settings.duration_s:g} s, run {jobs} at a time with one thread each. "
-        "g: ground, a: aerial robot; union: volume seen by the team's LiDARs; wall: the team's run."
+        "g: ground, a: aerial robot; union: volume seen by the team's LiDARs; ground alone: volume that the "
+        "ground robot alone had seen after the time that the team took; "
+        "wall: the team's run."
     )
     if len({stamp["sources"] for stamp in stamps}) > 1:
         text += " **The rows come from different states of the sources.**"

@@ -29,6 +29,7 @@ COLUMNS = (
     "deployed at s",
     "union m³",
     "ground alone m³",
+    "at its end m³",
     "ratio",
     "coverage",
     "merged F1",
@@ -52,11 +53,16 @@ class Pair:
     alone: dict[str, Any] | None
 
     @property
+    def alone_m3(self) -> float | None:
+        """Volume that the ground robot alone had seen after the time that the team took."""
+        return None if self.alone is None else float(self.alone.get("then_m3", self.alone["union_m3"]))
+
+    @property
     def ratio(self) -> float | None:
-        """Volume seen by the team over that seen by the ground robot alone."""
-        if self.both is None or self.alone is None or not self.alone["union_m3"]:
-            return None
-        return float(self.both["union_m3"] / self.alone["union_m3"])
+        """Volume seen by the team over that seen by the ground robot alone in the same time."""
+        return (
+            None if self.both is None or not self.alone_m3 else float(self.both["union_m3"] / self.alone_m3)
+        )
 
     @property
     def runs(self) -> list[dict[str, Any]]:
@@ -92,17 +98,18 @@ def collisions(run: dict[str, Any]) -> int:
 
 def mission_row(pair: Pair) -> list[str]:
     """The cells of one world and seed."""
-    alone = None if pair.alone is None else pair.alone["union_m3"]
+    end = MISSING if pair.alone is None else number(pair.alone["union_m3"])
     if pair.both is None:
-        blank = [MISSING] * (len(COLUMNS) - 5)
-        return [pair.world, str(pair.seed), MISSING, MISSING, number(alone), *blank]
+        blank = [MISSING] * (len(COLUMNS) - 6)
+        return [pair.world, str(pair.seed), MISSING, MISSING, end, end, *blank]
     run = pair.both
     return [
         pair.world,
         str(pair.seed),
         number(run["deploy_t_s"]),
         number(run["union_m3"]),
-        number(alone),
+        number(pair.alone_m3),
+        end,
         number(pair.ratio, 2),
         number(run["coverage"], 3),
         number(run["merged"]["occ_f1"], 3),
@@ -172,9 +179,9 @@ def headline_table(pairs: Sequence[Pair]) -> str:
 
 def _headline_row(world: str, pairs: Sequence[Pair]) -> list[str]:
     team = [pair.both for pair in pairs if pair.both is not None]
-    alone = [pair.alone for pair in pairs if pair.alone is not None]
+    alone = [pair.alone_m3 for pair in pairs if pair.alone_m3 is not None]
     mean_team = sum(run["union_m3"] for run in team) / len(team)
-    mean_alone = sum(run["union_m3"] for run in alone) / len(alone)
+    mean_alone = sum(alone) / len(alone)
     return [
         world,
         str(len(pairs)),

@@ -67,8 +67,8 @@ class Body:
 
 
 def _circle(radius_m: float, height_m: float) -> FloatArray:
-    """(N, 3) points of the cylinder that the corners of a body sweep, above what legs step over."""
+    """(N, 3) points of the cylinder that a body's corners sweep, above what a slope may rise to."""
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    heights = np.arange(0.5 * height_m, height_m, 0.15)
+    heights = np.arange(0.75 * height_m, height_m, 0.15)
     ring = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
     return np.array([(x, y, z) for x, y in ring for z in heights])

@@ -91,7 +91,8 @@ class Motion:
         """Whether the ground robot is about to turn on the spot where its corners would hit something."""
         if self._settings.kind != "ground" or abs(command.yaw_rate) < TURNING_RAD_S:
             return False
-        if np.linalg.norm(command.linear) > CREEPING_M_S:
+        # where going back did not help either, turning is what is left
+        if np.linalg.norm(command.linear) > CREEPING_M_S or not self._back_off.useful(pose):
             return False
         return not self._explorer.body.room_to_turn(self._explorer.map, pose.position)
 

@@ -77,8 +77,7 @@ class BackOff:
 
         `blocked` tells of a way (2, 3) whether the map shows something in it; such directions are left out.
         """
-        moved = self._from is None or np.linalg.norm(pose.position - self._from) > PROGRESS_M
-        self._tries = 0 if moved else self._tries + 1
+        self._tries = 0 if self.useful(pose) else self._tries + 1
         self._from = pose.position.copy()
         self._until_s = now_s + BACK_OFF_S
         places = [place for place in trail if np.linalg.norm(place - pose.position) >= BACK_OFF_M]
@@ -92,6 +91,10 @@ class BackOff:
             if not blocked(np.stack([pose.position, target])):
                 self._target, self._tries = target, turn
                 return
+
+    def useful(self, pose: Pose) -> bool:
+        """Whether the robot has moved since it last began to back off."""
+        return self._from is None or float(np.linalg.norm(pose.position - self._from)) > PROGRESS_M
 
     def command(self, now_s: float, pose: Pose) -> Velocity | None:
         """The velocity of this step, None when the robot is not backing off (any more)."""

@@ -29,6 +29,7 @@ def metrics(team: str = "both", **changes: Any) -> dict[str, Any]:
     robots = {"ground": robot(), "aerial": robot()} if team == "both" else {"ground": robot()}
     values: dict[str, Any] = {
         "robots": robots,
+        "duration_s": 55.0,
         "deploy_t_s": 42.2 if team == "both" else None,
         "union_m3": 2000.0 if team == "both" else 1000.0,
         "coverage": 0.8125,
@@ -60,6 +61,9 @@ class FakeRunner:
         option = dict(zip(arguments[1::2], arguments[2::2], strict=False))
         write_json(out / "config.json", {"mission": {"duration_s": float(option["--duration"])}})
         write_json(out / "metrics.json", metrics(option["--team"], wall_s=self.wall_s, **self.changes))
+        volume = metrics(option["--team"], **self.changes)["union_m3"]
+        series = {"time_s": [0.0, 50.0, 5000.0], "explored_m3/union": [0.0, volume, 10 * volume]}
+        write_json(out / "timeline.json", series)
         (out / "events.jsonl").write_text("{}\n")
         (out / "map.ply").write_bytes(b"map")
         return 0
@@ -124,7 +128,7 @@ def test_only_selects_by_world_seed_or_full_name(only: list[str], expected: bool
 def test_table_is_written_for_the_missions_that_ran(bench: Bench) -> None:
     assert bench.main("--only", "building-1", "cave-2-both", "--duration", "60") == 0
     text = bench.table.read_text()
-    assert "| building | 1 | 42 | 2000 | 1000 | 2.00 | 0.812 | 0.991 | 0.00125 | 0/0 | 12/12 | 5 |" in text
+    assert "| building | 1 | 42 | 2000 | 1000 | 1000 | 2.00 | 0.812 | 0.991 | 0.00125 | 0/0 | 12/12 | 5 |" in text
     assert "cave 2: no result (ground alone)" in text
     assert "mine" not in text
     assert "Missions of 60 s, run 2 at a time" in text
