@@ -20,9 +20,9 @@ class GroundGraph:
 
     def __init__(self, terrain: Terrain, vertices: int) -> None:
         self._terrain = terrain
-        points = terrain.points(terrain.roomy)
+        points = terrain.points(terrain.roomy_first)
         chosen = thin(points, VERTEX_SPACING_M, vertices)
-        self._cells = terrain.roomy[chosen]
+        self._cells = terrain.roomy_first[chosen]
         self.points: FloatArray = points[chosen]
         # cost is metres weighted by clearance: close to the true length where there is room, never below it
         costs = terrain.cost[tuple(self._cells.T)].astype(np.float64)

@@ -55,9 +55,10 @@ class Terrain:
         return reached[order]
 
     @cached_property
-    def roomy(self) -> NDArray[np.int64]:
-        """(N, 3) those of `cells` in which the body can turn on the spot."""
-        return np.asarray(self.cells[self.weight[tuple(self.cells.T)] < TIGHT_FACTOR])
+    def roomy_first(self) -> NDArray[np.int64]:
+        """(N, 3) `cells`, those in which the body can turn on the spot before the others."""
+        tight = self.weight[tuple(self.cells.T)] >= TIGHT_FACTOR
+        return np.concatenate([self.cells[~tight], self.cells[tight]])
 
     def points(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
         """Floor points (N, 3) in metres of window cells."""
