@@ -112,7 +112,8 @@ class Motion:
         """Something that the map does not show is in the way: remember it, leave this goal, back off."""
         self.stuck_events += 1
         self._explorer.refuse(now_s, plan.goal)
-        if self._settings.kind == "ground":
+        if self._settings.kind == "ground" and self._back_off.useful(pose):
+            # one barrier a place: more of them would wall the robot in
             self._explorer.map.assume_occupied(self._barrier(pose, plan))
         self._leave(now_s, pose)
 

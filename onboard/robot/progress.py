@@ -75,7 +75,8 @@ class BackOff:
     ) -> None:
         """Begin to go back to the newest place of the trail that is far enough away.
 
-        `blocked` tells of a way (2, 3) whether the map shows something in it; such directions are left out.
+        `blocked` tells of a way (2, 3) whether the map shows something in it; other directions than that of
+        the trail are tried only where it does not.
         """
         self._tries = 0 if self.useful(pose) else self._tries + 1
         self._from = pose.position.copy()
@@ -86,7 +87,8 @@ class BackOff:
             return
         offset = places[-1] - pose.position
         offset *= BACK_OFF_M / np.linalg.norm(offset)
-        for turn in range(self._tries, self._tries + OTHER_WAYS):
+        self._target = pose.position + offset  # the robot came from there, whatever the map says by now
+        for turn in range(self._tries, self._tries + OTHER_WAYS if self._tries else 0):
             target = pose.position + _turned(offset, turn * OTHER_WAY_RAD)
             if not blocked(np.stack([pose.position, target])):
                 self._target, self._tries = target, turn
