@@ -18,7 +18,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.mapping.voxel_map import FREE, OCCUPIED
+from onboard.mapping.voxel_map import FREE, OCCUPIED, UNKNOWN
 from onboard.planning import walks
 from onboard.planning.gait import LEGGED, QUANTISATION, Gait
 from onboard.planning.walks import F32, NO_FLOOR
@@ -178,7 +178,7 @@ def _standable(window: I8, gait: Gait, x: int, y: int, z: int) -> float:
                 if (
                     z + k < window.shape[2]
                     and window[i, j, z + k] == OCCUPIED
-                    and not _rises(window, gait, i, j, z, far2)
+                    and not _rises(window, gait, x, y, z, dx, dy)
                 ):
                     nearest2 = far2
                     break
@@ -192,16 +192,24 @@ def _standable(window: I8, gait: Gait, x: int, y: int, z: int) -> float:
 
 
 @njit(cache=True, nogil=True)
-def _rises(window: I8, gait: Gait, x: int, y: int, z: int, far2: int) -> bool:
-    """Whether column (x, y) holds a floor that a slope from level z may have reached over that distance."""
-    highest = int(np.ceil((gait.slope - QUANTISATION) * np.sqrt(far2)))
+def _rises(window: I8, gait: Gait, x: int, y: int, z: int, dx: int, dy: int) -> bool:
+    """Whether column (x + dx, y + dy) holds a floor to which a slope or stairs lead from (x, y, z).
+
+    The column before it must hold the step below, or be unknown: else it is a ledge.
+    """
+    far = np.sqrt(float(dx * dx + dy * dy))
+    highest = int(np.ceil((gait.slope - QUANTISATION) * far))
+    i, j = x + dx, y + dy
+    before = max(0.0, (far - 1.0) / far) if far > 0 else 0.0
+    mx, my = x + int(np.round(dx * before)), y + int(np.round(dy * before))
     for level in range(z + gait.low, min(z + highest, window.shape[2] - gait.high - 2) + 1):
         if (
-            window[x, y, level] == OCCUPIED
-            and window[x, y, level + 1] != OCCUPIED
-            and window[x, y, level + 2] != OCCUPIED
+            window[i, j, level] == OCCUPIED
+            and window[i, j, level + 1] != OCCUPIED
+            and window[i, j, level + 2] != OCCUPIED
         ):
-            return True
+            below = window[mx, my, level - 1]
+            return bool(below in (OCCUPIED, UNKNOWN) or window[mx, my, level] == OCCUPIED)
     return False
 
 
