@@ -22,6 +22,8 @@ STEPPED_ROUGHNESS_M = 0.04
 LOW_CELLS_ALLOWED = 5
 """Footprint cells without ground ahead that the legs step over (one row of the front)."""
 MOVING_POWER_RATIO = 1.3
+BELLY_RATIO = 0.5
+"""Height of the trunk's underside over the floor, as a share of the body's height."""
 TRAIL_SPACING_M = 0.25
 TRAIL_PLACES = 12
 """The way back is remembered over 3 m."""
@@ -74,7 +76,8 @@ class GroundRobot:
     """A holonomic legged base. `pose` is the floor point under the body's centre, tilted like the ground.
 
     A move onto a high step, a steep slope, over a drop or into a wall is refused: the robot holds its place
-    and `blocked` tells so; it may still turn. Only contacts of the body count as `collisions`.
+    and `blocked` tells so; it may still turn. Only contacts of the trunk count as `collisions`: what is lower
+    than the belly (half the height), the legs feel.
     Raises InputError for a start without ground.
     """
 
@@ -83,6 +86,7 @@ class GroundRobot:
         self._settings = settings
         self._terrain = TerrainProbe(scene, length, width, settings.step_max_m)
         self._body = BodyBox(scene, length, width, settings.step_max_m, height)
+        self._trunk = BodyBox(scene, length, width, BELLY_RATIO * height, height)
         self._contacts = ContactCounter()
         self._battery = Battery(settings.battery_wh)
         self._clock_s = 0.0
@@ -154,10 +158,15 @@ class GroundRobot:
             return None
         stance = self._stand(footing, yaw)
         if stance.overlap_m > self._stance.overlap_m:
-            self._contacts.touch(self._clock_s, self._stance.position)
+            # legs feel what stands lower than the belly and refuse it; a trunk that touches it collides
+            if self._trunk_overlap(stance) > self._trunk_overlap(self._stance):
+                self._contacts.touch(self._clock_s, self._stance.position)
             return None
         passable = footing.low_cells_ahead <= LOW_CELLS_ALLOWED and not self._too_steep(footing)
         return stance if passable or self._trail.leads_back(stance.position) else None
+
+    def _trunk_overlap(self, stance: _Stance) -> float:
+        return self._trunk.touch(stance.position, stance.rotation)[0]
 
     def _too_steep(self, footing: Footing) -> bool:
         """Steeper than the robot walks and steeper than where it stands already."""
