@@ -41,14 +41,21 @@ class Body:
             self.half_extent = np.array([length / 2, width / 2, height / 2])
 
     def graph(
-        self, voxel_map: VoxelMap, point: FloatArray, rng: np.random.Generator, seeds: FloatArray | None
+        self,
+        voxel_map: VoxelMap,
+        point: FloatArray,
+        rng: np.random.Generator,
+        seeds: FloatArray | None,
+        wider: float = 1.0,
     ) -> LocalGraph:
-        """Local graph rooted at the body's reference point (3,)."""
+        """Local graph rooted at the body's reference point (3,), in a window `wider` times the usual one."""
+        length, width, height = self.planner.window_m
+        window = (length * wider, width * wider, height * min(wider, 1.5))
+        count = int(self.planner.vertices * wider)
+        planner = self.planner.model_copy(update={"window_m": window, "vertices": count})
         if self.settings.kind == "ground":
-            return build_ground_graph(voxel_map, point, self.planner, self._gait)
-        return build_aerial_graph(
-            voxel_map, point, self.planner, self.settings.size_m, rng, seeds, self.area_m
-        )
+            return build_ground_graph(voxel_map, point, planner, self._gait)
+        return build_aerial_graph(voxel_map, point, planner, self.settings.size_m, rng, seeds, self.area_m)
 
     def gains(self, voxel_map: VoxelMap, points: FloatArray) -> FloatArray:
         """Volume in m^3 (N,) that the robot's LiDAR would newly see from reference points (N, 3)."""

@@ -1,4 +1,4 @@
-"""One robot's exploration planner: its map, its graphs, and the next path to take."""
+"""One robot's exploration planner: the next path to take."""
 
 from __future__ import annotations
 
@@ -7,15 +7,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from onboard.core.config import MapSettings, RobotSettings
-from onboard.mapping.voxel_map import FREE, VoxelMap
 from onboard.planning.aerial_graph import Area
-from onboard.planning.body import Body
-from onboard.planning.global_graph import LINK_M, GlobalGraph
-from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin, truncate
-from onboard.planning.plan import NOTHING, Budget, Plan, Refusals, remaining_path
-from onboard.planning.selection import Choice, rank, score_path, travel_time
+from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin
+from onboard.planning.navigator import Navigator
+from onboard.planning.plan import NOTHING, Plan, Refusals, remaining_path
+from onboard.planning.selection import Choice, rank, score_path
 
 VIEW_SPACING_M = 1.6
+FAR_FACTOR = 2.5
 NEW_FRONTIERS = 6
 PEER_SHARE = 0.7
 PEER_RADIUS_M = 8.0
@@ -24,45 +23,15 @@ SEEN_M, FRESH_M = 0.8, 3.0
 RETURN_RADIUS_M = 3.0
 
 
-class Explorer:
-    """Plans over its own map. Reference points: a ground robot's on the floor, an aerial one's centre."""
+class Explorer(Navigator):
+    """Chooses what to look at next."""
 
     def __init__(
         self, settings: RobotSettings, map_settings: MapSettings, seed: int, area_m: Area | None = None
     ) -> None:
-        self.settings = settings
-        self.map = VoxelMap(map_settings.voxel_m, map_settings.max_range_m)
-        self.body = Body(settings, map_settings.voxel_m, area_m)
-        self.graph: GlobalGraph | None = None
-        self.local: LocalGraph | None = None
+        super().__init__(settings, map_settings, seed, area_m)
         self.peer_goals: list[FloatArray] = []
-        self.budget = Budget(
-            margin_s=settings.planner.home_margin_s, margin_ratio=settings.planner.home_margin_ratio
-        )
         self._refusals = Refusals()
-        self._rng = np.random.default_rng([seed, settings.id])
-        self._heading_rad = 0.0
-        self._heading_from: FloatArray | None = None
-        self.trail: list[FloatArray] = []
-
-    def begin(self, point: FloatArray, heading_rad: float) -> None:
-        """Start the global graph at the robot's reference point (3,)."""
-        self.graph = GlobalGraph(point)
-        self._heading_rad, self._heading_from = heading_rad, point
-        self.trail = [point]
-
-    def observe(self, point: FloatArray) -> None:
-        """The robot is at this reference point (3,): extend the trail and the exploring direction."""
-        assert self.graph is not None
-        assert self._heading_from is not None
-        self.graph.visit(point, self._visible)
-        if np.linalg.norm(point - self.trail[-1]) > SEEN_M:
-            self.trail.append(point)
-        moved = point[:2] - self._heading_from[:2]
-        if np.hypot(*moved) >= 0.75:
-            turn = (np.arctan2(moved[1], moved[0]) - self._heading_rad + np.pi) % (2 * np.pi) - np.pi
-            self._heading_rad += 0.7 * turn
-            self._heading_from = point
 
     def explore(self, now_s: float, point: FloatArray, current: Plan | None) -> Plan:
         """The best path from the reference point (3,), or NOTHING when no gain within the budget is left.
@@ -73,27 +42,42 @@ class Explorer:
         seeds = current.path if current is not None else None
         self.local = self.body.graph(self.map, point, self._rng, seeds)
         self.observe(point)
-        views = thin(self.local.points, VIEW_SPACING_M, self.settings.planner.gain_vertices)
-        views = views[self.local.distances_m[views] > TRIM_M]  # what can be seen from here is seen anyway
-        gains = self.body.gains(self.map, self.local.points[views])
         self._refresh_frontiers(point)
-        self._add_frontiers(views, gains)
-        wanted = gains * self._discount(self.local.points[views]) * self._unvisited(self.local.points[views])
-        wanted[~self._refusals.allowed(now_s, self.local.points[views])] = 0.0
-        speed = self.settings.speed_m_s
-        choices = rank(self.local, views, wanted, self._heading_rad, speed, self.settings.planner)
-        plans = [self._plan(choice, "local") for choice in choices]
+        plans = self._views(now_s, self.local, VIEW_SPACING_M, "local")
         route = self.frontier_plan(now_s, point)
         if route is not None:
             plans.append(route)
-        affordable = [plan for plan in plans if self.affordable(plan)]
-        best = max(affordable, key=lambda plan: plan.score, default=NOTHING)
+        best = self._best(plans)
         kept = self._keep(point, current)
         if kept is not None and kept.score * self.settings.planner.switch_gain >= best.score:
             return kept
+        if len(best.path) == 0:
+            best = self._best(self._far(now_s, point))
         if len(best.path):
             self._refusals.attempt(now_s, best.goal)
         return best
+
+    def _best(self, plans: list[Plan]) -> Plan:
+        affordable = [plan for plan in plans if self.affordable(plan)]
+        return max(affordable, key=lambda plan: plan.score, default=NOTHING)
+
+    def _far(self, now_s: float, point: FloatArray) -> list[Plan]:
+        """Plans in a wider window: what lies behind space that a peer has seen is in no graph of ours."""
+        graph = self.body.graph(self.map, point, self._rng, None, FAR_FACTOR)
+        return self._views(now_s, graph, VIEW_SPACING_M * FAR_FACTOR, "far")
+
+    def _views(self, now_s: float, graph: LocalGraph, spacing_m: float, kind: str) -> list[Plan]:
+        """The best paths to views of a graph; the best views become frontiers of the global graph, too."""
+        views = thin(graph.points, spacing_m, self.settings.planner.gain_vertices)
+        views = views[graph.distances_m[views] > TRIM_M]  # what can be seen from here is seen anyway
+        places = graph.points[views]
+        gains = self.body.gains(self.map, places)
+        self._add_frontiers(graph, views, gains)
+        wanted = gains * self._discount(places) * self._unvisited(places)
+        wanted[~self._refusals.allowed(now_s, places)] = 0.0
+        speed = self.settings.speed_m_s
+        choices = rank(graph, views, wanted, self._heading_rad, speed, self.settings.planner)
+        return [self._plan(choice, kind) for choice in choices]
 
     def refuse(self, now_s: float, point: FloatArray) -> None:
         """Leave this goal alone for a while: the robot could not get there."""
@@ -126,102 +110,6 @@ class Explorer:
                 return plan
         return None
 
-    def route_to(self, point: FloatArray, target: int) -> FloatArray | None:
-        """(M, 3) way from the robot over the global graph to a node; blocked edges on it are avoided where
-        possible."""
-        graph = self.graph
-        assert graph is not None
-        for _ in range(8):
-            nodes = graph.route(graph.here, target)
-            if not nodes:
-                return None
-            places = graph.points[nodes]
-            blocked = self.body.blocked(self.map, places[:-1], places[1:])
-            changed = [graph.block(nodes[leg], nodes[leg + 1]) for leg in np.flatnonzero(blocked)]
-            if not any(changed):
-                return self._join(point, places)
-        return None
-
-    def go_to(self, point: FloatArray, target: FloatArray, radius_m: float = 2.0) -> Plan:
-        """Plan to a reference point (3,): straight through the local graph when it reaches, else over the
-        global graph."""
-        assert self.graph is not None
-        self.local = self.body.graph(self.map, point, self._rng, np.asarray(target)[None])
-        self.observe(point)
-        if np.linalg.norm(target - point) < min(self.settings.planner.window_m[:2]) / 2 - 1:
-            near = self.local.reach(target, 0.5)
-            if near is not None:
-                return Plan(
-                    self._start_at(point, near), "local", time_s=travel_time(near, self.settings.speed_m_s)
-                )
-        offsets = np.linalg.norm(self.graph.points - target, axis=1)
-        distances = self._distances_from(point)
-        offsets[~np.isfinite(distances)] = np.inf
-        node = int(np.argmin(offsets))
-        path = self.route_to(point, node) if offsets[node] <= radius_m else None
-        if path is None:
-            return NOTHING
-        return Plan(path, "route", time_s=travel_time(path, self.settings.speed_m_s))
-
-    def stop_short(self, plan: Plan, distance_m: float) -> Plan:
-        """The plan without its last metres and, where there is room, with a climb of a metre at its new
-        end."""
-        path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
-        above = path[-1] + np.array([0.0, 0.0, 1.0])
-        if self._visible(path[-1], above):
-            path = np.concatenate([path, above[None]])
-        return Plan(path, plan.kind, time_s=plan.time_s)
-
-    def times_to(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> FloatArray:
-        """Seconds (N,) of travel to reference points (N, 3) over the global graph, inf where it does not
-        reach."""
-        assert self.graph is not None
-        to_graph = float(np.linalg.norm(point - self.graph.points[self.graph.here]))
-        return self._times_from(self.graph.here, targets, radius_m) + to_graph / self.settings.speed_m_s
-
-    def _times_from(self, node: int, targets: FloatArray, radius_m: float) -> FloatArray:
-        """Seconds (N,) from a node to the cheapest node within the radius of each target (N, 3), and on to
-        it."""
-        assert self.graph is not None
-        distances = self.graph.distances(node)
-        offsets = np.linalg.norm(self.graph.points[None] - targets[:, None], axis=2)
-        lengths = np.where(offsets <= radius_m, distances + offsets, np.inf).min(axis=1)
-        return np.asarray(lengths / self.settings.speed_m_s)
-
-    def return_time(self, start: FloatArray) -> float:
-        """Seconds from a reference point (3,) to the place to be back at, over the global graph."""
-        if self.budget.back_to is None:
-            return 0.0
-        assert self.graph is not None
-        source, extra = self.graph.nearest(start)
-        times = self._times_from(source, self.budget.back_to[None], RETURN_RADIUS_M)
-        if not np.isfinite(times[0]):
-            source, extra = self.graph.here, float(np.linalg.norm(start - self.graph.points[self.graph.here]))
-            times = self._times_from(source, self.budget.back_to[None], RETURN_RADIUS_M)
-        return float(times[0]) + extra / self.settings.speed_m_s
-
-    def affordable(self, plan: Plan) -> bool:
-        """Whether the path and the way back from its end fit the time that is left."""
-        if not np.isfinite(self.budget.remaining_s):
-            return True
-        # the local path itself is a way back to the graph even where its end is not in the graph yet
-        back = min(self.return_time(plan.goal), plan.time_s + self.return_time(plan.path[0]))
-        needed = plan.time_s + back * (1 + self.budget.margin_ratio) + self.budget.margin_s
-        return needed <= self.budget.remaining_s
-
-    def path_blocked(self, path: FloatArray, ahead_m: float) -> bool:
-        """Whether the next metres of a path (M, 3) have become occupied in the map."""
-        lengths = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-        legs = np.flatnonzero(lengths[:-1] < ahead_m)
-        if len(legs) == 0:
-            return False
-        return bool(self.body.blocked(self.map, path[legs], path[legs + 1]).any())
-
-    def passable(self, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
-        """Whether short straight flights (N, 3) -> (N, 3) lead through space that is known to be free."""
-        status = self.map.segment_status(starts, ends, self.body.half_extent + 0.1)
-        return np.asarray((status == FREE) & (np.linalg.norm(ends - starts, axis=1) < LINK_M * 1.5))
-
     def _plan(self, choice: Choice, kind: str) -> Plan:
         return Plan(choice.path, kind, choice.gain_m3, choice.score, choice.time_s)
 
@@ -240,9 +128,6 @@ class Explorer:
         choice = score_path(rest, gain, self._heading_rad, self.settings.speed_m_s, self.settings.planner)
         plan = self._plan(choice, current.kind)
         return plan if self.affordable(plan) else None
-
-    def _visible(self, start: FloatArray, end: FloatArray) -> bool:
-        return self.local is not None and self.local.connects(start, end)
 
     def _discount(self, points: FloatArray) -> FloatArray:
         """Share of a gain (N,) that is left to this robot next to what its peers are heading for."""
@@ -273,27 +158,9 @@ class Explorer:
             else:
                 self.graph.frontiers[int(node)] = float(gain)
 
-    def _add_frontiers(self, views: NDArray[np.int64], gains: FloatArray) -> None:
+    def _add_frontiers(self, graph: LocalGraph, views: NDArray[np.int64], gains: FloatArray) -> None:
         assert self.graph is not None
-        assert self.local is not None
         for index in np.argsort(-gains, kind="stable")[:NEW_FRONTIERS]:
             if gains[index] >= self.settings.planner.frontier_m3:
-                path = self.local.path(int(views[index]))
+                path = graph.path(int(views[index]))
                 self.graph.add_path(path, float(gains[index]), self._visible)
-
-    def _distances_from(self, point: FloatArray) -> FloatArray:
-        assert self.graph is not None
-        start = self.graph.points[self.graph.here]
-        return self.graph.distances(self.graph.here) + float(np.linalg.norm(point - start))
-
-    def _start_at(self, point: FloatArray, path: FloatArray) -> FloatArray:
-        return path if np.linalg.norm(path[0] - point) < 1e-6 else np.concatenate([point[None], path])
-
-    def _join(self, point: FloatArray, places: FloatArray) -> FloatArray:
-        """Start the route at the robot, skipping first nodes that it can pass by."""
-        skip = 0
-        for index in range(min(len(places) - 1, 4), 0, -1):
-            if self._visible(point, places[index]):
-                skip = index
-                break
-        return np.concatenate([point[None], places[skip:]])
