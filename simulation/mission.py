@@ -11,6 +11,7 @@ from onboard.core.config import Config, RobotSettings
 from onboard.core.errors import ConfigError
 from onboard.core.geometry import Pose
 from onboard.mapping.voxel_map import VoxelMap
+from onboard.robot.sensing import CLEARING_M
 from simulation.aerial_robot import AerialRobot
 from simulation.agent import Agent, bracket_pose
 from simulation.bodies import ContactCounter
@@ -19,7 +20,6 @@ from simulation.scene import Scene
 from simulation.worlds import World
 
 TICK_S = 0.1
-CLEARING_M = 25.0
 SEPARATION_S = 5.0
 """After a release, contact between the two robots counts as a collision from this time on."""
 
@@ -86,7 +86,11 @@ class Mission:
         if scans is not None:
             sensor = agent.core.sensing.sensor_pose(agent.pose).matrix()
             perfect = scans[1]
-            self.reference.integrate(perfect.rays(CLEARING_M), sensor, min_range_m=perfect.model.min_range_m)
+            self.reference.integrate(
+                perfect.rays(self.config.map.max_range_m * CLEARING_M),
+                sensor,
+                min_range_m=perfect.model.min_range_m,
+            )
         outputs = agent.think(self.now_s, None if scans is None else scans[0])
         for target, frame in outputs.frames:
             self.radio.send(self.now_s, agent.settings.id, target, frame)

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 from onboard.core.config import MapSettings, RobotSettings
 from onboard.planning.aerial_graph import Area
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin
-from onboard.planning.navigator import Navigator
+from onboard.planning.navigator import SEEN_M, Navigator
 from onboard.planning.plan import NOTHING, Plan, Refusals, remaining_path
 from onboard.planning.selection import Choice, rank, score_path
 
@@ -19,8 +19,7 @@ NEW_FRONTIERS = 6
 PEER_SHARE = 0.7
 PEER_RADIUS_M = 8.0
 TRIM_M = 1.0
-SEEN_M, FRESH_M = 0.8, 3.0
-RETURN_RADIUS_M = 3.0
+FRESH_M = 3.0
 
 
 class Explorer(Navigator):
@@ -143,14 +142,14 @@ class Explorer(Navigator):
         distances, _ = cKDTree(np.stack(self.trail)).query(points)
         return np.asarray(np.clip((distances - SEEN_M) / (FRESH_M - SEEN_M), 0.0, 1.0))
 
-    def _refresh_frontiers(self, point: FloatArray, everywhere: bool = False) -> None:
+    def _refresh_frontiers(self, point: FloatArray) -> None:
         """Recompute the gain of the frontiers whose view may have changed; drop those that are seen."""
         assert self.graph is not None
         nodes = np.array(sorted(self.graph.frontiers), np.int64)
         if len(nodes) == 0:
             return
         places = self.graph.points[nodes]
-        reach = np.inf if everywhere else self.settings.planner.gain_range_m * 1.5
+        reach = self.settings.planner.gain_range_m * 1.5
         near = np.linalg.norm(places - point, axis=1) < reach
         for node, gain in zip(nodes[near], self.body.gains(self.map, places[near]), strict=True):
             if gain < self.settings.planner.frontier_m3:

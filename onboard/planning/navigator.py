@@ -14,12 +14,8 @@ from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length
 from onboard.planning.plan import NOTHING, Budget, Plan
 from onboard.planning.selection import travel_time
 
-VIEW_SPACING_M = 1.6
-NEW_FRONTIERS = 6
-PEER_SHARE = 0.7
-PEER_RADIUS_M = 8.0
-TRIM_M = 1.0
-SEEN_M, FRESH_M = 0.8, 3.0
+SEEN_M = 0.8
+"""Spacing of the trail: what is visible within this distance of it has been seen."""
 RETURN_RADIUS_M = 3.0
 
 
