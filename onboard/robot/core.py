@@ -22,6 +22,7 @@ from onboard.robot.interface import Inputs, Log, Outputs, Profile
 from onboard.robot.motion import Motion
 from onboard.robot.roles import Role, Team, vector
 from onboard.robot.sensing import Sensing
+from onboard.safety import keep_clear
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import Status
 
@@ -184,15 +185,26 @@ class RobotCore:
         return distance <= radius and (settled or close)
 
     def _move(self, now_s: float, pose: Pose) -> Velocity:
-        if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.WAITING, Phase.DONE):
+        if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.DONE):
             return HALT
+        if self.phase == Phase.WAITING:
+            return self._gated(now_s, pose, HALT)
         if self.motion.due(now_s, pose):
             self.motion.adopt(now_s, self._plan(now_s, pose))
         stuck = self.motion.stuck_events
         velocity = self.motion.step(now_s, pose)
         if self.motion.stuck_events > stuck:
             self._log("stuck", position=vector(pose.position))
-        return velocity
+        return self._gated(now_s, pose, velocity)
+
+    def _gated(self, now_s: float, pose: Pose, velocity: Velocity) -> Velocity:
+        """The command of a flying robot after the gate that keeps it clear of the walking ones."""
+        if self.settings.kind != "aerial" or self.phase == Phase.TAKING_OFF:
+            return velocity
+        return keep_clear(velocity, pose.position, self.team.walkers(now_s), self._may_fly_to)
+
+    def _may_fly_to(self, point: FloatArray) -> bool:
+        return bool(self.explorer.passable(point[None], point[None] + 1e-3)[0])
 
     def _plan(self, now_s: float, pose: Pose) -> Plan | None:
         insisted: Plan | None = self.role.plan(now_s, self.phase, pose)

@@ -20,6 +20,7 @@ from onboard.sharing import LinkCore
 from onboard.sharing.messages import Message, Vector
 
 PEER_MARGIN_M = 0.3
+KEEP_CLEAR_M = 0.4
 
 
 class Team:
@@ -90,6 +91,17 @@ class Team:
             return
         graph.add_chain(np.stack(self._trail), self.explorer.passable)
         self._trail = self._trail[-1:]
+
+    def walkers(self, now_s: float) -> list[tuple[FloatArray, float]]:
+        """Body centres (3,) of ground peers in contact, and the distance to keep from them, in metres."""
+        found = []
+        for peer in self.peers:
+            status = self.link.peer_status(peer.id)
+            if peer.kind == "ground" and status is not None and self.link.in_contact(peer.id, now_s):
+                centre = np.array(status.position_m) + np.array([0.0, 0.0, peer.size_m[2] / 2])
+                reach = (np.hypot(*peer.size_m[:2]) + max(self.settings.size_m)) / 2 + KEEP_CLEAR_M
+                found.append((centre, float(reach + (now_s - status.stamp_s) * peer.speed_m_s)))
+        return found
 
     def without_peers(self, scan: Scan, pose: Pose, now_s: float) -> Scan:
         """The scan without the pixels that show a peer's body, whose place its beacon tells."""
