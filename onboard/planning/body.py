@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.config import RobotSettings
+from onboard.core.geometry import Pose
 from onboard.core.lidar import lidar_model
 from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
 from onboard.planning.aerial_graph import Area, build_aerial_graph
@@ -13,6 +14,8 @@ from onboard.planning.gain import GainModel
 from onboard.planning.gait import gait_of
 from onboard.planning.ground_graph import build_ground_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph
+
+SWEEP_STEP_M = 0.1
 
 
 class Body:
@@ -36,9 +39,11 @@ class Body:
             # the upper half of the body: below it, a tread of the stairs ahead would look like an obstacle
             self.box_centre = np.array([0.0, 0.0, height * 0.8])
             self.half_extent = np.array([width / 2 - 0.1, width / 2 - 0.1, height * 0.15])
+            self._trunk = _outline(length, width, _trunk_heights(height))
         else:
             self.box_centre = np.zeros(3)
             self.half_extent = np.array([length / 2, width / 2, height / 2])
+            self._trunk = _outline(length, width, np.array([-height / 2, 0.0, height / 2]))
 
     def graph(
         self,
@@ -67,6 +72,19 @@ class Body:
         """Whether nothing is known to stand where the corners of a body at `point` (3,) sweep."""
         return not bool(np.any(voxel_map.status(point + self._corners) == OCCUPIED))
 
+    def sweep_blocked(self, voxel_map: VoxelMap, pose: Pose, target: FloatArray) -> bool:
+        """Whether something is known to stand where the trunk at `pose` sweeps as it shifts to `target` (3,).
+
+        The body keeps its attitude. What seems to stand inside it already does not count: it is not there.
+        """
+        offset = pose.rotation.T @ (target - pose.position)
+        steps = np.linspace(0.0, 1.0, max(2, int(np.linalg.norm(offset) / SWEEP_STEP_M) + 1))[1:]
+        points = (self._trunk[None] + steps[:, None, None] * offset).reshape(-1, 3)
+        length, width, _ = self.settings.size_m
+        outside = (np.abs(points[:, 0]) > length / 2) | (np.abs(points[:, 1]) > width / 2)
+        placed = points[outside] @ pose.rotation.T + pose.position
+        return bool(np.any(voxel_map.status(placed) == OCCUPIED))
+
     def blocked(self, voxel_map: VoxelMap, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
         """Whether an occupied voxel lies in the body's way (N,) from (N, 3) to (N, 3)."""
         status = voxel_map.segment_status(starts + self.box_centre, ends + self.box_centre, self.half_extent)
@@ -76,6 +94,19 @@ class Body:
 def _circle(radius_m: float, height_m: float) -> FloatArray:
     """(N, 3) points of the cylinder that a body's corners sweep, above what a slope may rise to."""
     angles = np.linspace(0, 2 * np.pi, 24, endpoint=False)
-    heights = np.arange(0.75 * height_m, height_m, 0.15)
+    heights = _trunk_heights(height_m)
     ring = radius_m * np.column_stack([np.cos(angles), np.sin(angles)])
     return np.array([(x, y, z) for x, y in ring for z in heights])
+
+
+def _outline(length_m: float, width_m: float, heights_m: FloatArray) -> FloatArray:
+    """(N, 3) points on the sides of a box of this length and width at these heights."""
+    along = np.linspace(-length_m / 2, length_m / 2, 8)
+    across = np.linspace(-width_m / 2, width_m / 2, 5)
+    sides = [(x, y) for x in along for y in across if x in along[[0, -1]] or y in across[[0, -1]]]
+    return np.array([(x, y, z) for x, y in sides for z in heights_m])
+
+
+def _trunk_heights(height_m: float) -> FloatArray:
+    """Heights that no step or slope rises to."""
+    return np.arange(0.75 * height_m, height_m, 0.15)

@@ -121,8 +121,9 @@ class Motion:
         """Go back a little without turning and plan anew."""
         self._watchdog.idle()
         self.drop(now_s)
+        body, voxel_map = self._explorer.body, self._explorer.map
         self._back_off.start(
-            now_s, pose, self._explorer.trail, lambda way: self._explorer.path_blocked(way, MONITOR_AHEAD_M)
+            now_s, pose, self._explorer.trail, lambda target: body.sweep_blocked(voxel_map, pose, target)
         )
 
     def _barrier(self, pose: Pose, plan: Plan) -> FloatArray:

@@ -59,7 +59,7 @@ class Watchdog:
 
 
 class BackOff:
-    """Going back a little on the own trail without turning, which every body can do that got there.
+    """Going back a little on the own trail without turning.
 
     When even that does not move the robot it tries other directions, one after the other.
     """
@@ -75,8 +75,8 @@ class BackOff:
     ) -> None:
         """Begin to go back to the newest place of the trail that is far enough away.
 
-        `blocked` tells of a way (2, 3) whether the map shows something in it; other directions than that of
-        the trail are tried only where it does not.
+        `blocked` tells of a target (3,) whether the map shows something in the body's way there; the first
+        free direction is taken, and none where all are blocked: the body came turned another way.
         """
         self._tries = 0 if self.useful(pose) else self._tries + 1
         self._from = pose.position.copy()
@@ -87,10 +87,9 @@ class BackOff:
             return
         offset = places[-1] - pose.position
         offset *= BACK_OFF_M / np.linalg.norm(offset)
-        self._target = pose.position + offset  # the robot came from there, whatever the map says by now
-        for turn in range(self._tries, self._tries + OTHER_WAYS if self._tries else 0):
+        for turn in range(self._tries, self._tries + OTHER_WAYS):
             target = pose.position + _turned(offset, turn * OTHER_WAY_RAD)
-            if not blocked(np.stack([pose.position, target])):
+            if not blocked(target):
                 self._target, self._tries = target, turn
                 return
 

@@ -1,0 +1,71 @@
+"""Backing off: which way a robot that is stuck goes."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from onboard.core.config import load_config
+from onboard.core.geometry import Pose
+from onboard.mapping.voxel_map import VoxelMap
+from onboard.planning.body import Body
+from onboard.robot.progress import BACK_OFF_M, BackOff
+
+TEAM = Path(__file__).parents[2] / "config" / "sim" / "team.toml"
+HERE = Pose.from_rpy(np.array([2.0, 1.0, 0.0]))
+TRAIL = [np.array([0.0, 1.0, 0.0]), np.array([1.0, 1.0, 0.0]), np.array([1.9, 1.0, 0.0])]
+
+
+def test_the_trail_is_the_first_choice():
+    back_off = BackOff()
+    back_off.start(0.0, HERE, TRAIL, lambda target: False)
+    command = back_off.command(0.1, HERE)
+    assert command is not None
+    assert command.linear[0] < 0
+    assert command.linear[1:] == pytest.approx([0, 0])
+
+
+def test_a_blocked_trail_is_left_for_another_direction():
+    back_off = BackOff()
+    back_off.start(0.0, HERE, TRAIL, lambda target: target[0] < 2.0)
+    command = back_off.command(0.1, HERE)
+    assert command is not None
+    assert command.linear[0] >= 0
+
+
+def test_a_robot_walled_in_stays():
+    back_off = BackOff()
+    back_off.start(0.0, HERE, TRAIL, lambda target: True)
+    assert back_off.command(0.1, HERE) is None
+
+
+def test_without_progress_the_next_try_goes_elsewhere():
+    back_off = BackOff()
+    back_off.start(0.0, HERE, TRAIL, lambda target: False)
+    first = back_off.command(0.1, HERE)
+    back_off.start(5.0, HERE, TRAIL, lambda target: False)
+    second = back_off.command(5.1, HERE)
+    assert first is not None
+    assert second is not None
+    assert first.linear @ second.linear < 0.9 * np.linalg.norm(first.linear) ** 2
+
+
+@pytest.mark.parametrize(("yaw_rad", "blocked"), [(0.0, False), (np.pi / 2, True)])
+def test_the_trunk_is_tested_as_it_is_turned(yaw_rad, blocked):
+    """A corridor 0.8 m wide lets the trunk pass lengthwise, not across."""
+    settings = next(robot for robot in load_config(TEAM).robots if robot.kind == "ground")
+    voxel_map = VoxelMap(0.2, 20.0)
+    along = np.arange(-2.0, 2.0, 0.1)
+    walls = [(x, y, z) for x in along for y in (-0.55, 0.55) for z in (0.65, 0.75)]
+    voxel_map.assume_occupied(np.array(walls))
+    body = Body(settings, 0.2)
+    pose = Pose.from_rpy(np.zeros(3), yaw_rad=yaw_rad)
+    assert body.sweep_blocked(voxel_map, pose, np.array([-BACK_OFF_M, 0.0, 0.0])) is blocked
+
+
+def test_what_seems_to_stand_inside_the_body_does_not_hold_it():
+    settings = next(robot for robot in load_config(TEAM).robots if robot.kind == "ground")
+    voxel_map = VoxelMap(0.2, 20.0)
+    voxel_map.assume_occupied(np.array([[0.1, 0.1, 0.7]]))
+    body = Body(settings, 0.2)
+    assert not body.sweep_blocked(voxel_map, Pose.from_rpy(np.zeros(3)), np.array([0.0, BACK_OFF_M, 0.0]))
