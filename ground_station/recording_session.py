@@ -33,7 +33,8 @@ class RecordingSettings:
     max_range_m: float = 20.0
     keyframe_translation_m: float = 2.0
     keyframe_rotation_rad: float = 0.785
-    range_step_m: float = 0.1
+    keyframe_budget_bytes: int | None = None
+    """The codec's default quality unless given."""
 
 
 @dataclass(eq=False)
@@ -97,7 +98,7 @@ class RecordingSession:
     def _add_keyframe(self, located: OdometryResult, model: LidarModel, stamp_s: float) -> None:
         """Encode, store, and map what a peer would decode."""
         image = to_range_image(located.points, model, stamp_s)
-        data = encode(image, located.pose, range_step_m=self.settings.range_step_m)
+        data = encode(image, located.pose, budget_bytes=self.settings.keyframe_budget_bytes)
         self.keyframes.write(LENGTH.pack(len(data)) + data)
         self.keyframes.flush()
         received = decode(data)

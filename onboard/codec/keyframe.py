@@ -1,93 +1,175 @@
-"""Keyframe bitstream: a scan and its pose in a few kilobytes (docs/wire.md, section 'Keyframe payload')."""
+"""Keyframe bitstream: a scan and its pose in a few hundred bytes (docs/codec.md)."""
 
 from __future__ import annotations
 
-import struct
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.codec.crc import crc32c
-from onboard.codec.image_coder import read_image, write_image
-from onboard.codec.pose_bits import POSE_BYTES, pack_pose, unpack_pose
-from onboard.codec.quantize import far_symbol, to_ranges, to_symbols
-from onboard.core.errors import InputError, WireError
+from onboard.codec.choice import choose
+from onboard.codec.codecs import NAMES, Ranges, Task, Voxels, decode_payload, encode_payload, union
+from onboard.codec.container import (
+    EXACT,
+    EXACT_REFERENCED,
+    LEARNED,
+    MAX_BYTES,
+    MIN_BYTES,
+    OVERHEAD_BYTES,
+    QUADTREE,
+    Container,
+    pack,
+    references_bytes,
+    unpack,
+)
+from onboard.codec.pose_bits import pack_pose, unpack_pose
+from onboard.codec.quadtree import truncate_quadtree
+from onboard.codec.voxels import VOXEL_M, Cells, voxelise
+from onboard.core.errors import CodecError, InputError
 from onboard.core.geometry import Pose
-from onboard.core.lidar import LidarModel, Scan, lidar_model_by_code
+from onboard.core.lidar import LidarModel, Scan
 
-VERSION = 1
-CODEC_RANGE_IMAGE = 1
-HEADER_BYTES = 4 + POSE_BYTES + 4
-"""Version and codec, sensor, step, pose; the last 4 are the CRC32C at the very end."""
-MAX_BYTES = 60_000
-"""No keyframe is longer (with its frame it fits one UDP datagram): checked before anything is allocated."""
-_HEAD = struct.Struct("<BBH")
-_CRC = struct.Struct("<I")
-_STEP_MM = range(10, 1001)
+CodecName = Literal["auto", "quadtree", "exact", "learned"]
+MIN_RANGE_M = np.float32(0.01)
+"""Nearer returns are coded as this near."""
+_BY_NAME = {"quadtree": QUADTREE, "exact": EXACT, "learned": LEARNED}
 
 
 @dataclass(frozen=True, eq=False)
 class Keyframe:
-    """A decoded keyframe: `pose` of the sensor in the map frame as quantised, `ranges` (H, W) in metres."""
+    """A decoded keyframe: `pose` of the sensor in the map frame as quantised, `ranges` (H, W) in metres.
+
+    `codec` is "quadtree", "exact" or "learned"; `cells` are the voxels of 0.2 m that an exact keyframe names.
+    """
 
     model: LidarModel
+    codec: str
     pose: Pose
-    ranges: NDArray[np.float32]
+    ranges: Ranges
+    cells: Voxels | None = field(default=None, repr=False)
+
+    def voxels(self, voxel_m: float = VOXEL_M) -> tuple[Cells, Cells]:
+        """Occupied (N, 3) and free (M, 3) voxels in the map frame, as floor(p / voxel_m)."""
+        if self.cells is not None and voxel_m == VOXEL_M:
+            return self.cells
+        return voxelise(self.ranges, self.model, self.pose, voxel_m)
 
     def scan_rays(self, reach_m: float) -> NDArray[np.float32]:
         """(N, 3) ray ends in the sensor frame, as Scan.rays: returns, and `reach_m` where there was none."""
         return Scan(0.0, self.ranges, self.model).rays(reach_m)
 
 
-def encode(scan: Scan, pose: Pose, *, range_step_m: float = 0.1) -> bytes:
-    """Code `scan`, taken at sensor `pose` in the map frame, ranges rounded to `range_step_m` (0.01 to 1 m).
+References = Callable[[int], Keyframe | None]
+"""Finds a keyframe of the same source by its sequence number; None if it is not held."""
 
-    Raises InputError for a scan that does not fit its model or holds NaN or negative ranges, for a bad pose
-    and for an image that does not fit MAX_BYTES.
+
+def encode(
+    scan: Scan,
+    pose: Pose,
+    sensor: LidarModel | None = None,
+    *,
+    budget_bytes: int | None = None,
+    quality: float | None = None,
+    codec: CodecName = "auto",
+    references: Sequence[tuple[int, Keyframe]] = (),
+) -> bytes:
+    """Code `scan`, taken by `sensor` (the scan's model unless given) at `pose` in the map frame.
+
+    `budget_bytes` bounds the whole keyframe; else `quality` is what a wrong voxel is worth, in bits
+    (quadtree, 0.1 to 400). `codec` "auto" is the quadtree without a budget; with one, that of quadtree and
+    exact whose map scores more (choice.py). `references` are exact keyframes that the receiver is known to
+    hold, for the exact codec. Raises InputError for a scan that does not fit its model or holds NaN or
+    negative ranges, for a bad pose, and for what cannot be had: a budget that is too small, an unknown codec
+    or quality, a learned model that is not installed.
     """
-    step_mm = round(range_step_m * 1000)
-    if step_mm not in _STEP_MM:
-        raise InputError(f"range_step_m = {range_step_m}: must lie between 0.01 and 1")
-    _check_scan(scan)
-    symbols = to_symbols(scan.ranges, scan.model, step_mm / 1000)
-    image = write_image(symbols, far_symbol(scan.model, step_mm / 1000), MAX_BYTES - HEADER_BYTES)
-    head = _HEAD.pack(VERSION << 4 | CODEC_RANGE_IMAGE, scan.model.code, step_mm)
-    body = head + pack_pose(pose) + image
-    return body + _CRC.pack(crc32c(body))
+    packed_pose = pack_pose(pose)
+    model = sensor or scan.model
+    sequences = tuple(sorted(number for number, _ in references)) if codec in ("auto", "exact") else ()
+    task = Task(
+        _checked_ranges(scan, model),
+        model,
+        unpack_pose(packed_pose),
+        _room(budget_bytes, quality, sequences),
+        quality,
+        union([_known(number, keyframe) for number, keyframe in references]) if sequences else None,
+    )
+    number, payload = _choose(codec, task)
+    used = sequences if number == EXACT_REFERENCED else ()
+    return pack(Container(number, model, packed_pose, payload, used))
 
 
-def decode(data: bytes) -> Keyframe:
-    """Inverse of `encode`. Raises WireError for anything that no encoder wrote."""
-    if not HEADER_BYTES <= len(data) <= MAX_BYTES:
-        raise WireError(f"keyframe: {len(data)} bytes, expected {HEADER_BYTES} to {MAX_BYTES}")
-    body = data[: -_CRC.size]
-    if _CRC.unpack(data[-_CRC.size :])[0] != crc32c(body):
-        raise WireError("keyframe: checksum does not match")
-    model, step_m = _parse_head(body)
-    pose = unpack_pose(body[_HEAD.size : _HEAD.size + POSE_BYTES])
-    far = far_symbol(model, step_m)
-    symbols = read_image(body[_HEAD.size + POSE_BYTES :], (model.rows, model.columns), far)
-    return Keyframe(model, pose, to_ranges(symbols, model, step_m))
+def decode(data: bytes, references: References | None = None) -> Keyframe:
+    """Inverse of `encode`. Raises CodecError for what no encoder wrote and for references not held."""
+    container = unpack(data)
+    pose = unpack_pose(container.pose)
+    known = _find(container.references, references) if container.references else None
+    content = decode_payload(container.codec, container.payload, container.model, pose, known)
+    return Keyframe(container.model, NAMES[container.codec], pose, content.ranges, content.voxels)
 
 
-def _check_scan(scan: Scan) -> None:
-    expected = (scan.model.rows, scan.model.columns)
-    if scan.ranges.shape != expected:
-        raise InputError(f"scan is {scan.ranges.shape}, but {scan.model.name} gives {expected}")
-    if not (scan.ranges >= 0).all():  # false for NaN as well
+def truncate(data: bytes, max_bytes: int) -> bytes:
+    """The same keyframe in at most `max_bytes`, coarser; unchanged if it is short enough.
+
+    Raises InputError for less than 18 bytes and for keyframes of other codecs than the quadtree, CodecError
+    for bad bytes.
+    """
+    container = unpack(data)
+    if len(data) <= max_bytes:
+        return data
+    if max_bytes < MIN_BYTES:
+        raise InputError(f"max_bytes = {max_bytes}: a keyframe takes at least {MIN_BYTES} bytes")
+    if container.codec != QUADTREE:
+        raise InputError(f"{NAMES[container.codec]} keyframes cannot be truncated, only quadtree ones")
+    payload = truncate_quadtree(container.payload, max_bytes - OVERHEAD_BYTES)
+    return pack(Container(QUADTREE, container.model, container.pose, payload))
+
+
+def _choose(codec: str, task: Task) -> tuple[int, bytes]:
+    if codec == "auto":
+        return choose(task)
+    if codec not in _BY_NAME:
+        raise InputError(f"codec = '{codec}': choose one of auto, {', '.join(_BY_NAME)}")
+    number = _BY_NAME[codec]
+    if number == EXACT and task.known is not None:
+        number = EXACT_REFERENCED
+    return number, encode_payload(number, task)
+
+
+def _checked_ranges(scan: Scan, model: LidarModel) -> Ranges:
+    ranges = np.ascontiguousarray(scan.ranges, dtype=np.float32)
+    if ranges.shape != (model.rows, model.columns):
+        raise InputError(f"scan is {ranges.shape}, but {model.name} gives {(model.rows, model.columns)}")
+    if not (ranges >= 0).all():  # false for NaN as well
         raise InputError("scan holds NaN or negative ranges")
+    return np.where(ranges > 0, np.maximum(ranges, MIN_RANGE_M), np.float32(0))
 
 
-def _parse_head(body: bytes) -> tuple[LidarModel, float]:
-    kind, sensor, step_mm = _HEAD.unpack_from(body)
-    if kind >> 4 != VERSION:
-        raise WireError(f"keyframe: version {kind >> 4}, expected {VERSION}")
-    if kind & 15 != CODEC_RANGE_IMAGE:
-        raise WireError(f"keyframe: unknown codec {kind & 15}")
-    if step_mm not in _STEP_MM:
-        raise WireError(f"keyframe: range step of {step_mm} mm")
-    try:
-        return lidar_model_by_code(sensor), step_mm / 1000
-    except InputError as error:
-        raise WireError(f"keyframe: {error}") from error
+def _room(budget_bytes: int | None, quality: float | None, sequences: tuple[int, ...]) -> int | None:
+    if budget_bytes is None:
+        return None
+    if quality is not None:
+        raise InputError("budget_bytes and quality exclude each other: give one of them")
+    if not MIN_BYTES <= budget_bytes <= MAX_BYTES:
+        raise InputError(f"budget_bytes = {budget_bytes}: must lie between {MIN_BYTES} and {MAX_BYTES}")
+    return max(budget_bytes - OVERHEAD_BYTES - references_bytes(sequences), 1)
+
+
+def _known(number: int, keyframe: Keyframe) -> Voxels:
+    # The voxels of other codecs come out of floating point: two machines could disagree about them.
+    if keyframe.cells is None:
+        raise InputError(f"reference {number} is a {keyframe.codec} keyframe; refer to exact ones only")
+    return keyframe.cells
+
+
+def _find(numbers: tuple[int, ...], references: References | None) -> Voxels:
+    voxels = []
+    for number in numbers:
+        keyframe = references(number) if references else None
+        if keyframe is None:
+            raise CodecError(f"keyframe: needs keyframe {number} of the same source, which is not here")
+        if keyframe.cells is None:
+            raise CodecError(f"keyframe: refers to keyframe {number}, which is not an exact one")
+        voxels.append(keyframe.cells)
+    return union(voxels)

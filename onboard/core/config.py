@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator
+from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from onboard.core.errors import ConfigError
 
@@ -34,11 +34,21 @@ class LidarSettings(Section):
 
 
 class KeyframeSettings(Section):
-    """When a scan becomes a keyframe (tau_t, tau_r) and how finely its ranges are coded."""
+    """When a scan becomes a keyframe (tau_t, tau_r), and how it is coded (docs/codec.md)."""
 
     translation_m: Positive
     rotation_rad: Positive = 0.785
-    range_step_m: Annotated[float, Field(ge=0.01, le=0.4)] = 0.1
+    codec: Literal["auto", "quadtree", "exact"] = "auto"
+    budget_bytes: Annotated[int, Field(ge=60, le=60_000)] | None = None
+    quality: Annotated[float, Field(ge=0.1, le=400.0)] | None = None
+
+    @model_validator(mode="after")
+    def _one_way_to_set_the_size(self) -> Self:
+        if self.budget_bytes is not None and self.quality is not None:
+            raise ValueError("budget_bytes and quality exclude each other: give one of them")
+        if self.codec == "exact" and (self.budget_bytes is not None or self.quality is not None):
+            raise ValueError("exact keyframes take what they take: leave out budget_bytes and quality")
+        return self
 
 
 class MapSettings(Section):

@@ -15,3 +15,7 @@ class ConfigError(InputError):
 
 class WireError(MarsupialError):
     """Bytes that came over a link do not decode; they are counted and dropped."""
+
+
+class CodecError(WireError):
+    """A keyframe's bytes are not what an encoder wrote."""

@@ -99,7 +99,7 @@ class RobotCore:
 
     def _integrate(self, scan: Scan, pose: Pose) -> None:
         self.profile.timed("map", self.sensing.integrate, scan, pose)
-        if self.phase != Phase.CARRIED and self.sensing.keyframe_due(pose):
+        if self.phase != Phase.CARRIED and self.sensing.keyframe_due(scan, pose):
             payload, position = self.profile.timed("encode", self.sensing.make_keyframe, scan, pose)
             self.link.add_keyframe(scan.stamp_s, payload)
             self.team.keyframe_positions.append(position)

@@ -36,8 +36,10 @@ class Sensing:
         points = scan.rays(self._map.max_range_m * CLEARING_M)
         self._map.integrate(points, self.sensor_pose(body).matrix(), min_range_m=scan.model.min_range_m)
 
-    def keyframe_due(self, body: Pose) -> bool:
-        """Whether the LiDAR has moved by tau_t or turned by tau_r since the last keyframe."""
+    def keyframe_due(self, scan: Scan, body: Pose) -> bool:
+        """Whether the LiDAR sees a thing and moved by tau_t or turned by tau_r since the last keyframe."""
+        if not (scan.ranges > 0).any():
+            return False
         if self._last_keyframe is None:
             return True
         pose = self.sensor_pose(body)
@@ -50,8 +52,15 @@ class Sensing:
     def make_keyframe(self, scan: Scan, body: Pose) -> tuple[bytes, FloatArray]:
         """Encode a scan; its bytes and the LiDAR position (3,) that they carry."""
         self._last_keyframe = self.sensor_pose(body)
-        step = self._settings.keyframes.range_step_m
-        return encode(scan, self._last_keyframe, range_step_m=step), self._last_keyframe.position
+        wanted = self._settings.keyframes
+        data = encode(
+            scan,
+            self._last_keyframe,
+            budget_bytes=wanted.budget_bytes,
+            quality=wanted.quality,
+            codec=wanted.codec,
+        )
+        return data, self._last_keyframe.position
 
     def receive(self, payload: bytes) -> FloatArray | None:
         """Decode a peer's keyframe into the map; its LiDAR position (3,), None if the bytes are bad."""

@@ -202,3 +202,37 @@ def test_broken_files_are_named(tmp_path, content, why):
 def test_a_missing_file_is_an_input_error_that_names_it(tmp_path):
     with pytest.raises(InputError, match=r"none\.toml: no such configuration file"):
         load_config(tmp_path / "none.toml")
+
+
+def with_keyframes(**settings):
+    data = team()
+    data["robots"][0]["keyframes"] = {"translation_m": 2.0, **settings}
+    return parse_config(data, "t").robots[0].keyframes
+
+
+def test_keyframes_are_coded_by_the_codec_itself_unless_told_otherwise():
+    plain = with_keyframes()
+    assert (plain.codec, plain.budget_bytes, plain.quality) == ("auto", None, None)
+    told = with_keyframes(codec="quadtree", budget_bytes=300)
+    assert (told.codec, told.budget_bytes) == ("quadtree", 300)
+    assert with_keyframes(quality=2.0).quality == 2.0
+
+
+@pytest.mark.parametrize(
+    ("settings", "why"),
+    [
+        ({"codec": "jpeg"}, "codec = 'jpeg'"),
+        ({"budget_bytes": 59}, "budget_bytes = 59"),
+        ({"budget_bytes": 60_001}, "budget_bytes = 60001"),
+        ({"budget_bytes": 99.5}, r"budget_bytes = 99\.5"),
+        ({"quality": 0.05}, r"quality = 0\.05"),
+        ({"quality": 401}, "quality = 401"),
+        ({"budget_bytes": 300, "quality": 2.0}, "exclude each other"),
+        ({"codec": "exact", "budget_bytes": 300}, "exact keyframes take what they take"),
+        ({"codec": "exact", "quality": 1.0}, "exact keyframes take what they take"),
+        ({"range_step_m": 0.1}, "range_step_m"),
+    ],
+)
+def test_wrong_keyframe_settings_are_refused(settings, why):
+    with pytest.raises(ConfigError, match=why):
+        with_keyframes(**settings)

@@ -1,0 +1,1 @@
+"""Codecs to compare with: none of them is part of the product."""
