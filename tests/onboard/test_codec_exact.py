@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tracemalloc
 from functools import lru_cache
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from numpy.typing import NDArray
 
 from onboard.codec.exact import ExactCells, decode_exact, encode_exact
 from onboard.codec.exact.codec import MAX_BYTES
+from onboard.codec.exact.grid import FREE, OCCUPIED
 from onboard.codec.metric import compare
 from onboard.codec.voxels import voxelise
 from onboard.core.errors import CodecError, InputError
@@ -60,7 +62,8 @@ def rows(cells: NDArray[np.int32]) -> set[int]:
 
 
 def same(a: ExactCells, b: ExactCells) -> bool:
-    return all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+    pairs = ((a.occupied, b.occupied), (a.free, b.free), (a.ranges, b.ranges))
+    return all(np.array_equal(x, y) for x, y in pairs)
 
 
 def check_promises(image: Image, model: LidarModel, pose: Pose, cells: ExactCells) -> None:
@@ -134,6 +137,24 @@ def test_uniform_scans(value: float) -> None:
         assert len(cells.occupied) == 0
         assert np.isinf(cells.ranges).all()
         assert len(rows(voxelise(image, VLP_16, POSE)[1]) ^ rows(cells.free)) < 0.001 * len(cells.free)
+
+
+@pytest.mark.parametrize("model", MODELS, ids=lambda m: m.name)
+def test_decoding_takes_little_memory_until_the_lists_are_asked_for(model: LidarModel) -> None:
+    rng = np.random.default_rng(7)
+    payloads = [rng.bytes(size) for size in (500, 3000)] + [bytes(2000), b"\xff" * 2000]
+    decode_exact(payloads[0], model, POSE, complete=False)  # compiled and priors loaded
+    for payload in payloads:
+        tracemalloc.start()
+        try:
+            cells = decode_exact(payload, model, POSE, complete=False)
+            _, peak = tracemalloc.get_traced_memory()
+        finally:
+            tracemalloc.stop()
+        assert peak < 16 << 20
+        assert cells.states.bits.nbytes < 3 << 20
+        assert [len(cells.free), len(cells.occupied)] == cells.states.counts[[FREE, OCCUPIED]].tolist()
+        assert cells.free is cells.free
 
 
 def test_gaps_stay_unknown() -> None:

@@ -10,7 +10,7 @@ import pytest
 from onboard.codec.exact import decode_exact, encode_exact
 from onboard.codec.exact.codec import shipped_priors
 from onboard.codec.exact.contexts import KNOWN_SIZES, SIZES, WEIGHT_SETS
-from onboard.codec.exact.order import coding_steps
+from onboard.codec.exact.order import FIRST_SIDE, SIDE_FIELDS, coding_steps
 from onboard.codec.exact.predict import (
     HIT_BITS,
     NONE,
@@ -51,7 +51,7 @@ def test_every_ray_has_its_turn_once_and_coded_neighbours(model: LidarModel) -> 
         for row in range(step[0], model.rows, step[1]):
             for column in range(step[2], model.columns, step[3]):
                 assert not done[row, column]
-                near = step[6:].reshape(SIDES, 2, 2)[:, 0]
+                near = step[FIRST_SIDE:].reshape(SIDES, SIDE_FIELDS)[:, :2]
                 sides = [(row + r, (column + c) % model.columns) for r, c in near]
                 inside = [(r, c) for r, c in sides if 0 <= r < model.rows]
                 if step[4] > 0:
@@ -75,10 +75,11 @@ def test_a_wall_is_predicted_from_any_two_of_its_rays() -> None:
     wall = 20.0 / np.cos(angles) * (1 << HIT_BITS)
     hits = np.full((OS0_64.rows, OS0_64.columns), NONE, dtype=np.int32)
     hits[:] = np.where(np.abs(angles) < 1.2, wall, NONE)
-    out, scratch = np.empty(PREDICTIONS, dtype=np.int64), np.empty(SIDES, dtype=np.int64)
-    step = next(s for s in coding_steps(OS0_64) if s[4] == 2 and s[5] == 2)
+    out = np.empty(PREDICTIONS, dtype=np.int64)
+    steps = coding_steps(OS0_64)
+    step = next(i for i, s in enumerate(steps) if s[4] == 2 and s[5] == 2)
     column = 204
-    predict_ray(hits, 16, column, step, scratch, out)
+    predict_ray(hits, 16, column, steps, step, out)
     expected = wall[column] / (1 << (HIT_BITS - UNIT_BITS))
     for prediction in (out[4], out[5], out[8]):
         assert abs(prediction - expected) < 0.01 * expected

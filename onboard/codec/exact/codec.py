@@ -7,14 +7,25 @@ scan ends is ever decoded as free. Format: docs/codec_exact.md.
 
 from __future__ import annotations
 
-from functools import lru_cache
+from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.codec.exact.grid import Cells, Grid, listed, new_grid, place_known
+from onboard.codec.exact.grid import (
+    FREE,
+    HOME,
+    OCCUPIED,
+    Cells,
+    Grid,
+    States,
+    listed,
+    new_grid,
+    pack_states,
+    place_known,
+)
 from onboard.codec.exact.kernel import Job, code_rays
 from onboard.codec.exact.order import LATTICES, coding_steps
 from onboard.codec.exact.predict import FAR, HIT_BITS, NONE
@@ -42,15 +53,25 @@ KnownCells = tuple[Cells, Cells]
 """Occupied (N, 3) and free (M, 3) voxels that the receiver holds, as floor(p / 0.2 m) in the map frame."""
 
 
-class ExactCells(NamedTuple):
-    """Decoded voxels of 0.2 m in the map frame: `occupied` (N, 3), `free` (M, 3); `ranges` (H, W) in metres.
+@dataclass(frozen=True, eq=False)
+class ExactCells:
+    """Decoded voxels of 0.2 m in the map frame, listed when they are asked for; `ranges` (H, W) in metres.
 
     A range is that of a point in the voxel where the ray ends, inf beyond 20 m, 0 where nothing is said.
     """
 
-    occupied: Cells
-    free: Cells
     ranges: NDArray[np.float32]
+    states: States = field(repr=False)
+
+    @cached_property
+    def occupied(self) -> Cells:
+        """(N, 3) occupied voxels as floor(p / 0.2 m)."""
+        return listed(self.states, OCCUPIED)
+
+    @cached_property
+    def free(self) -> Cells:
+        """(M, 3) free voxels as floor(p / 0.2 m)."""
+        return listed(self.states, FREE)
 
 
 def encode_exact(
@@ -66,7 +87,7 @@ def encode_exact(
     write_scan(coder, ranges, model, pose, known)
     data = finish(coder)
     if failed(coder):
-        raise InputError(f"the scan does not fit {MAX_BYTES} bytes: use another codec")
+        raise InputError(f"the scan does not fit {MAX_BYTES} bytes or is too rough: use another codec")
     return data
 
 
@@ -109,9 +130,9 @@ def decode_exact(
         rays, model, grid, np.zeros(0, dtype=np.int64), False, known is not None, skipping, not complete
     )
     code_rays(coder, job)
-    if complete and not finished_cleanly(coder):
+    if failed(coder) or (complete and not finished_cleanly(coder)):
         raise CodecError("exact keyframe: the voxels do not decode")
-    return ExactCells(*listed(grid, rays.home), _metres(job.hits))
+    return ExactCells(_metres(job.hits), pack_states(grid, job.touched, rays.home))
 
 
 def _start_grid(rays: Rays, known: KnownCells | None) -> Grid:
@@ -133,7 +154,10 @@ def _job(
 ) -> Job:
     hits = np.full((model.rows, model.columns), NONE, dtype=np.int32)
     steps = coding_steps(model)
-    return Job(rays.directions, rays.eye, steps, grid, hits, limits, writing, known, skipping, partial)
+    touched = np.full(2, HOME, dtype=np.int64)
+    return Job(
+        rays.directions, rays.eye, steps, grid, touched, hits, limits, writing, known, skipping, partial
+    )
 
 
 def _metres(hits: NDArray[np.int32]) -> NDArray[np.float32]:

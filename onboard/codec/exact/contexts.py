@@ -13,6 +13,7 @@ from onboard.codec.exact.grid import (
     STATE,
     STRIDE_X,
     STRIDE_Y,
+    STRIDE_Z,
     Grid,
 )
 
@@ -41,22 +42,19 @@ WEIGHT_SETS = KNOWN_SETS + 3 * _NEARS
 """Weight sets: by pass and place between the neighbours, by the two main predictions."""
 
 _NEAR_BAND = 96
+_BORDERS = np.array([-288, -160, -96, -45, -16, 16, 45, 96, 224])
+_LOWEST, _HIGHEST = -289, 224
+_CLASSES = np.searchsorted(_BORDERS, np.arange(_LOWEST, _HIGHEST + 1), side="right").astype(np.uint8)
 _HELD_SHIFT = 2
 
 
 @njit(cache=True, nogil=True, inline="always")
 def _bin(place: int, prediction: int) -> int:
     """Signed difference of a place on the ray to a prediction in 10 classes; the 11th: no prediction."""
-    d = place - prediction
     if prediction < 0:
         return 10
-    if d < -16:
-        if d < -96:
-            return 0 if d < -288 else 1 if d < -160 else 2
-        return 3 if d < -45 else 4
-    if d < 45:
-        return 5 if d < 16 else 6
-    return 7 if d < 96 else 8 if d < 224 else 9
+    difference = min(max(place - prediction, _LOWEST), _HIGHEST)
+    return int(_CLASSES[np.uint64(difference - _LOWEST)])
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -90,15 +88,7 @@ def fill_contexts(
     """Set `slots` for a voxel that the ray crosses from `enter` to `leave`."""
     place = (enter + leave) >> 1
     chord = min(3, ((leave - enter) * 5) >> 7)
-    occupied = free = 0
-    for x in range(-STRIDE_X, STRIDE_X + 1, STRIDE_X):
-        for y in range(-STRIDE_Y, STRIDE_Y + 1, STRIDE_Y):
-            for z in range(-1, 2):
-                state = grid[cell + x + y + z] & STATE
-                if state == OCCUPIED:
-                    occupied += 1
-                elif state == FREE:
-                    free += 1
+    free, occupied = _around(grid, cell)
     row, column = _bin(place, prediction[8]), _bin(place, prediction[9])
     scene = (kind * _CHORDS + chord) * _PASSES + number
     scenes = _KINDS * _CHORDS * _PASSES
@@ -115,13 +105,32 @@ def fill_contexts(
 
 
 @njit(cache=True, nogil=True, inline="always")
+def _around(grid: Grid, cell: int) -> tuple[int, int]:
+    """Free and occupied voxels among a voxel and its 26 neighbours."""
+    base = cell - STRIDE_X - STRIDE_Y - STRIDE_Z
+    free = occupied = np.int64(0)
+    for z in range(0, 3 * STRIDE_Z, STRIDE_Z):
+        for y in range(0, 3 * STRIDE_Y, STRIDE_Y):
+            for x in range(3):
+                state = np.int64(grid[np.uint64(base + x + y + z)])
+                free += state & 1
+                occupied += state >> 1 & 1
+    return free, occupied
+
+
+@njit(cache=True, nogil=True, inline="always")
 def _faces(grid: Grid, cell: int, distance: int) -> int:
     """The six states at a distance along the axes, in ternary."""
-    x, y = distance * STRIDE_X, distance * STRIDE_Y
-    lower = np.int64(grid[cell - x] & STATE) + 3 * np.int64(grid[cell + x] & STATE)
-    middle = np.int64(grid[cell - y] & STATE) + 3 * np.int64(grid[cell + y] & STATE)
-    upper = np.int64(grid[cell - distance] & STATE) + 3 * np.int64(grid[cell + distance] & STATE)
+    x, y, z = distance * STRIDE_X, distance * STRIDE_Y, distance * STRIDE_Z
+    lower = _state(grid, cell - x) + 3 * _state(grid, cell + x)
+    middle = _state(grid, cell - y) + 3 * _state(grid, cell + y)
+    upper = _state(grid, cell - z) + 3 * _state(grid, cell + z)
     return int(lower + 9 * middle + 81 * upper)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _state(grid: Grid, cell: int) -> int:
+    return np.int64(grid[np.uint64(cell)] & STATE)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -148,7 +157,7 @@ def fill_known_contexts(
     known = occupied = 0
     for x in range(-STRIDE_X, STRIDE_X + 1, STRIDE_X):
         for y in range(-STRIDE_Y, STRIDE_Y + 1, STRIDE_Y):
-            for z in range(-1, 2):
+            for z in range(-STRIDE_Z, STRIDE_Z + 1, STRIDE_Z):
                 voxel = grid[cell + x + y + z]
                 known += (voxel & KNOWN_OCCUPIED) != 0
                 occupied += (voxel & STATE) == OCCUPIED
@@ -159,6 +168,6 @@ def fill_known_contexts(
     slots[first + 1] = (around * _BINS + _bin(place, prediction[8])) * _BINS + _bin(place, prediction[9])
     faces = held(grid, cell - STRIDE_X) + 3 * held(grid, cell + STRIDE_X)
     faces += 9 * (held(grid, cell - STRIDE_Y) + 3 * held(grid, cell + STRIDE_Y))
-    faces += 81 * (held(grid, cell - 1) + 3 * held(grid, cell + 1))
+    faces += 81 * (held(grid, cell - STRIDE_Z) + 3 * held(grid, cell + STRIDE_Z))
     slots[first + 2] = (faces * 3 + here) * _NEARS + near
     slots[first + 3] = (((here * 3 + next_held) * _COUNTS + some) * _PASSES + number) * _CHORDS + chord

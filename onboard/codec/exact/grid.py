@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -20,10 +22,11 @@ RIM = 3
 """Contexts look two voxels far."""
 CENTRE = REACH_VOXELS + 1 + RIM
 SIDE = 2 * CENTRE + 1
-STRIDE_X, STRIDE_Y = SIDE * SIDE, SIDE
-HOME = CENTRE * (STRIDE_X + STRIDE_Y + 1)
-_WORD = 8
-_PADDED = -(-(SIDE**3) // _WORD) * _WORD
+STRIDE_X, STRIDE_Y, STRIDE_Z = 1, SIDE, SIDE * SIDE
+"""Layer by layer: what a scan sees is flat, so that it touches little memory."""
+HOME = CENTRE * (STRIDE_X + STRIDE_Y + STRIDE_Z)
+_CELLS_PER_BYTE = 4
+_PADDED = -(-(SIDE**3) // _CELLS_PER_BYTE) * _CELLS_PER_BYTE
 
 
 def new_grid() -> Grid:
@@ -43,48 +46,61 @@ def _mark(grid: Grid, cells: Cells, home: NDArray[np.int64], flag: int) -> None:
     for i in range(len(cells)):
         x, y, z = cells[i, 0] - home[0], cells[i, 1] - home[1], cells[i, 2] - home[2]
         if max(abs(x), abs(y), abs(z)) <= reach:
-            grid[HOME + x * STRIDE_X + y * STRIDE_Y + z] = flag
+            grid[HOME + x * STRIDE_X + y * STRIDE_Y + z * STRIDE_Z] = flag
 
 
-def listed(grid: Grid, home: NDArray[np.int64]) -> tuple[Cells, Cells]:
-    """Voxels decided in this keyframe as map indices: occupied (N, 3), free (M, 3), in the grid's order."""
-    words = grid.view(np.uint64)
-    counts = _count(grid, words)
-    occupied, free = (np.empty((int(n), 3), dtype=np.int32) for n in (counts[OCCUPIED], counts[FREE]))
-    _list(grid, words, home - CENTRE, occupied, free)
-    return occupied, free
+class States(NamedTuple):
+    """Voxels decided in a keyframe, 2 bits each: those of a grid from `first` on; `corner` (3,) is cell 0's index.
+
+    `counts` (3,): undecided, free, occupied ones.
+    """
+
+    bits: NDArray[np.uint8]
+    first: int
+    corner: NDArray[np.int64]
+    counts: NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True)
-def _count(grid: Grid, words: NDArray[np.uint64]) -> NDArray[np.int64]:
+def pack_states(grid: Grid, touched: NDArray[np.int64], home: NDArray[np.int64]) -> States:
+    """The states of a grid in which nothing is decided outside the cells touched[0] .. touched[1]."""
+    first = int(touched[0]) // STRIDE_Z * STRIDE_Z // _CELLS_PER_BYTE * _CELLS_PER_BYTE
+    end = min((int(touched[1]) // STRIDE_Z + 1) * STRIDE_Z, SIDE**3)
+    bits = np.zeros(max(-(-(end - first) // _CELLS_PER_BYTE), 0), dtype=np.uint8)
     counts = np.zeros(STATE, dtype=np.int64)
-    for w in range(len(words)):
-        if words[w]:
-            for cell in range(w * _WORD, (w + 1) * _WORD):
-                counts[grid[cell] & STATE] += 1
-    return counts
+    _pack(grid[first:], bits, counts)
+    return States(bits, first, home - CENTRE, counts)
 
 
 @njit(cache=True, nogil=True)
-def _list(
-    grid: Grid, words: NDArray[np.uint64], low: NDArray[np.int64], occupied: Cells, free: Cells
-) -> None:
-    m = n = 0
-    for w in range(len(words)):
-        if not words[w]:
-            continue
-        for cell in range(w * _WORD, (w + 1) * _WORD):
-            state = grid[cell] & STATE
-            if state == OCCUPIED:
-                _set_cell(occupied, m, cell, low)
-                m += 1
-            elif state == FREE:
-                _set_cell(free, n, cell, low)
+def _pack(grid: Grid, bits: NDArray[np.uint8], counts: NDArray[np.int64]) -> None:
+    for i in range(len(bits)):
+        packed = np.int64(0)
+        for k in range(_CELLS_PER_BYTE):
+            state = np.int64(grid[np.uint64(_CELLS_PER_BYTE * i + k)]) & STATE
+            packed |= state << (2 * k)
+            counts[FREE] += state & 1
+            counts[OCCUPIED] += state >> 1
+        bits[i] = packed
+
+
+def listed(states: States, state: int) -> Cells:
+    """(N, 3) the voxels in a state as map indices, in the grid's order."""
+    cells = np.empty((int(states.counts[state]), 3), dtype=np.int32)
+    _list(*states[:3], state, cells)
+    return cells
+
+
+@njit(cache=True, nogil=True)
+def _list(bits: NDArray[np.uint8], first: int, corner: NDArray[np.int64], state: int, cells: Cells) -> None:
+    n = 0
+    for i in range(len(bits)):
+        packed = np.int64(bits[i])
+        cell = first + _CELLS_PER_BYTE * i
+        while packed:
+            if packed & STATE == state:
+                cells[n, 0] = cell % SIDE + corner[0]
+                cells[n, 1] = cell // STRIDE_Y % SIDE + corner[1]
+                cells[n, 2] = cell // STRIDE_Z + corner[2]
                 n += 1
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _set_cell(cells: Cells, row: int, cell: int, low: NDArray[np.int64]) -> None:
-    cells[row, 0] = cell // STRIDE_X + low[0]
-    cells[row, 1] = cell // STRIDE_Y % SIDE + low[1]
-    cells[row, 2] = cell % SIDE + low[2]
+            packed >>= 2
+            cell += 1

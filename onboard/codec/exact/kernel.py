@@ -24,6 +24,7 @@ from onboard.codec.exact.grid import (
     STATE,
     STRIDE_X,
     STRIDE_Y,
+    STRIDE_Z,
     TARGET,
     UNDECIDED,
     Grid,
@@ -40,7 +41,7 @@ from onboard.codec.exact.predict import (
 )
 from onboard.codec.exact.rays import DIRECTION_BITS, LENGTH_BITS, POSITION_BITS, REACH
 from onboard.codec.mixing_coder import MixingCoder, code_direct, code_mixed_arrays
-from onboard.codec.range_bytes import UNCERTAIN
+from onboard.codec.range_bytes import FAILED, POSITION, UNCERTAIN
 
 _TO_UNIT = LENGTH_BITS - UNIT_BITS
 _TO_HIT = LENGTH_BITS - HIT_BITS
@@ -49,6 +50,9 @@ _ONE = 1 << (LENGTH_BITS + DIRECTION_BITS)
 _CLEAR_MARGIN = 64
 _EARLY = 3 << (LENGTH_BITS - 2)
 _NEARS = 5
+_SUPPLIED_BYTES = 3
+MAX_DECISIONS = 1 << 19
+"""Mixed decisions of a keyframe: bounds the time that hostile bytes can cost. A scan takes some 30 000."""
 CLEAR, SKIPPED = 0, 8
 DIRECT = SKIPPED + SIDES + 1
 """Direct models: 'nothing near' by kind of step, 'nothing known of this ray' by neighbours alike."""
@@ -57,13 +61,14 @@ DIRECT = SKIPPED + SIDES + 1
 class Job(NamedTuple):
     """One keyframe: what both sides have, what the encoder wants (`limits`), what comes out (`grid`, `hits`).
 
-    `hits` (H, W) int32: where each ray ends in 1/4096 voxel, FAR for nowhere, NONE for a ray not (yet) coded.
+    `touched` (2,): the lowest and highest cell decided. `hits` (H, W) int32: where each ray ends in 1/4096 voxel, FAR for nowhere, NONE for a ray not (yet) coded.
     """
 
     directions: NDArray[np.int64]
     eye: NDArray[np.int64]
     steps: NDArray[np.int64]
     grid: Grid
+    touched: NDArray[np.int64]
     hits: NDArray[np.int32]
     limits: NDArray[np.int64]
     writing: bool
@@ -74,142 +79,155 @@ class Job(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_rays(coder: MixingCoder, job: Job) -> int:
-    """Write or read all rays; their number. With `job.partial` it ends before the first uncertain one."""
-    hits, steps = job.hits, job.steps
+    """Write or read all rays; their number. With `job.partial` it ends before the first uncertain one.
+
+    A ray is walked (Amanatides & Woo 1987) to the first occupied voxel.
+    """
+    # Each array taken from a tuple or handed to another kernel is counted by an atomic: here that is done once.
+    grid, touched, hits, steps, limits = job.grid, job.touched, job.hits, job.steps, job.limits
+    directions, eye = job.directions, job.eye
+    writing, known, partial, skipping = job.writing, job.known, job.partial, job.skipping
+    coder_state, buffer, models, weights = coder.state, coder.buffer, coder.models, coder.weights
+    bases, slots, inputs = coder.bases, coder.slots, coder.inputs
+    adaptation, learning_shift = coder.limit, coder.learning_shift
     rows, columns = hits.shape
     prediction = np.empty(PREDICTIONS, dtype=np.int64)
-    distances = np.empty(SIDES, dtype=np.int64)
-    walk = np.empty((3, 3), dtype=np.int64)
-    done = 0
+    done = decisions = 0
     for s in range(len(steps)):
-        step = steps[s]
+        number, kind = steps[s, 4], steps[s, 5]
         for row in range(steps[s, 0], rows, steps[s, 1]):
             for column in range(steps[s, 2], columns, steps[s, 3]):
-                predict_ray(hits, row, column, step, distances, prediction)
-                ray = row * columns + column
-                hit = NONE
-                if not (job.skipping and _code_skip(coder, job, ray, prediction)):
-                    _aim(job.directions, job.eye, ray, walk)
-                    hit = _code_ray(coder, job, ray, step[4], step[5], prediction, walk)
-                if job.partial and coder.state[UNCERTAIN]:
+                overrun = not partial and coder_state[POSITION] > buffer.size + _SUPPLIED_BYTES
+                if overrun or decisions > MAX_DECISIONS:
+                    coder_state[FAILED] = 1
                     return done
+                predict_ray(hits, row, column, steps, s, prediction)
+                ray = row * columns + column
+                limit = limits[ray] if writing else np.int64(0)
+                if skipping:
+                    wanted = 1 if limit < 0 else 0
+                    skip = code_direct(coder, SKIPPED + _unknown_sides(prediction), wanted)
+                    if partial and coder_state[UNCERTAIN]:
+                        return done
+                    if skip:
+                        done += 1
+                        continue
+                at_x, pitch_x, step_x = _aim(directions[ray, 0], eye[0], STRIDE_X)
+                at_y, pitch_y, step_y = _aim(directions[ray, 1], eye[1], STRIDE_Y)
+                at_z, pitch_z, step_z = _aim(directions[ray, 2], eye[2], STRIDE_Z)
+                clear_end = _clear_end(prediction)
+                clear_before = np.int64(-1)
+                cell, enter, hit = np.int64(HOME), np.int64(0), np.int64(FAR)
+                while True:
+                    leave = min(at_x, at_y, at_z)
+                    state = grid[np.uint64(cell)] & STATE
+                    if state != FREE:
+                        if state == UNDECIDED:
+                            if leave <= clear_end and clear_before < 0:
+                                clear = 0
+                                if writing:
+                                    clear = _is_clear(
+                                        grid,
+                                        cell,
+                                        enter,
+                                        at_x,
+                                        at_y,
+                                        at_z,
+                                        pitch_x,
+                                        pitch_y,
+                                        pitch_z,
+                                        step_x,
+                                        step_y,
+                                        step_z,
+                                        limit,
+                                        clear_end,
+                                    )
+                                clear = code_direct(coder, CLEAR + kind, clear)
+                                if partial and coder_state[UNCERTAIN]:
+                                    return done
+                                clear_before = clear_end if clear else np.int64(0)
+                            if leave > clear_before:
+                                wanted = 1 if writing and _ends_in(grid[cell], enter, leave, limit) else 0
+                                start, end = enter >> _TO_UNIT, min(leave, REACH) >> _TO_UNIT
+                                place = (start + end) >> 1
+                                near = near_class(place, prediction[10], prediction[11])
+                                fill_contexts(slots, grid, cell, prediction, start, end, number, kind, near)
+                                weight_set = number * _NEARS + near
+                                if known:
+                                    behind = cell
+                                    if at_x == leave:
+                                        behind += step_x
+                                    else:
+                                        behind += step_y if at_y == leave else step_z
+                                    fill_known_contexts(
+                                        slots, grid, cell, behind, prediction, start, end, number, near
+                                    )
+                                    weight_set = KNOWN_SETS + held(grid, cell) * _NEARS + near
+                                decisions += 1
+                                ends_here = code_mixed_arrays(
+                                    coder_state,
+                                    buffer,
+                                    models,
+                                    weights,
+                                    bases,
+                                    slots,
+                                    inputs,
+                                    adaptation,
+                                    learning_shift,
+                                    weight_set,
+                                    main_set(prediction, place),
+                                    wanted,
+                                )
+                                if partial and coder_state[UNCERTAIN]:
+                                    return done
+                                if ends_here:
+                                    state = OCCUPIED
+                                    _decide(grid, touched, cell, OCCUPIED)
+                        if state == OCCUPIED:
+                            hit = _range_in(enter, min(leave, REACH), prediction[8], prediction[9])
+                            break
+                        if leave < REACH:
+                            _decide(grid, touched, cell, FREE)
+                    if leave >= REACH:
+                        break
+                    enter = leave
+                    if at_x == leave:
+                        cell += step_x
+                        at_x += pitch_x
+                    elif at_y == leave:
+                        cell += step_y
+                        at_y += pitch_y
+                    else:
+                        cell += step_z
+                        at_z += pitch_z
                 hits[row, column] = hit
                 done += 1
     return done
 
 
-@njit(cache=True, nogil=True, inline="always")
-def _code_skip(coder: MixingCoder, job: Job, ray: int, prediction: NDArray[np.int64]) -> bool:
-    """Whether nothing is said of this ray; the context is on how many sides nothing is known."""
-    alike = 0
+@njit(cache=True, nogil=True)
+def _decide(grid: Grid, touched: NDArray[np.int64], cell: int, state: int) -> None:
+    grid[np.uint64(cell)] |= np.uint8(state)
+    touched[0] = min(touched[0], cell)
+    touched[1] = max(touched[1], cell)
+
+
+@njit(cache=True, nogil=True)
+def _unknown_sides(prediction: NDArray[np.int64]) -> int:
+    unknown = 0
     for side in range(SIDES):
-        alike += prediction[side] < 0
-    wanted = 1 if job.writing and job.limits[ray] < 0 else 0
-    return bool(code_direct(coder, SKIPPED + alike, wanted))
+        unknown += prediction[side] < 0
+    return unknown
 
 
 @njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _aim(directions: NDArray[np.int64], eye: NDArray[np.int64], ray: int, walk: NDArray[np.int64]) -> None:
-    """Fill `walk`: for each axis the length to the first border, between borders, the step in the grid."""
-    for axis in range(3):
-        slope = directions[ray, axis]
-        stride = STRIDE_X if axis == 0 else STRIDE_Y if axis == 1 else 1
-        if slope == 0:
-            walk[axis, 0] = walk[axis, 1] = _NEVER
-            walk[axis, 2] = 0
-            continue
-        pitch = floor_ratio(_ONE, abs(slope))
-        ahead = (1 << POSITION_BITS) - eye[axis] if slope > 0 else eye[axis]
-        walk[axis, 0] = (ahead * pitch) >> POSITION_BITS
-        walk[axis, 1] = pitch
-        walk[axis, 2] = stride if slope > 0 else -stride
-
-
-@njit(cache=True, nogil=True, inline="always", error_model="numpy")
-def _code_ray(
-    coder: MixingCoder,
-    job: Job,
-    ray: int,
-    number: int,
-    kind: int,
-    prediction: NDArray[np.int64],
-    walk: NDArray[np.int64],
-) -> int:
-    """Walk one ray (Amanatides & Woo 1987) to the first occupied voxel; where it ends, as in Job.hits."""
-    grid, writing, known, partial = job.grid, job.writing, job.known, job.partial
-    coder_state, buffer, models, weights = coder.state, coder.buffer, coder.models, coder.weights
-    bases, slots, inputs = coder.bases, coder.slots, coder.inputs
-    adaptation, learning_shift = coder.limit, coder.learning_shift
-    at_x, at_y, at_z = walk[0, 0], walk[1, 0], walk[2, 0]
-    pitch_x, pitch_y, pitch_z = walk[0, 1], walk[1, 1], walk[2, 1]
-    step_x, step_y, step_z = walk[0, 2], walk[1, 2], walk[2, 2]
-    limit = job.limits[ray] if writing else np.int64(0)
-    clear_end = _clear_end(prediction)
-    clear_before = np.int64(-1)
-    cell = np.int64(HOME)
-    enter = np.int64(0)
-    while True:
-        leave = min(at_x, at_y, at_z)
-        state = grid[cell] & STATE
-        if state != FREE:
-            if state == UNDECIDED:
-                if leave <= clear_end and clear_before < 0:
-                    clear = 0
-                    if writing:
-                        clear = _is_clear(grid, cell, enter, at_x, at_y, at_z, walk, limit, clear_end)
-                    clear_before = clear_end if code_direct(coder, CLEAR + kind, clear) else np.int64(0)
-                    if partial and coder_state[UNCERTAIN]:
-                        return NONE
-                if leave > clear_before:
-                    wanted = 1 if writing and _ends_in(grid[cell], enter, leave, limit) else 0
-                    behind = cell
-                    if known:
-                        behind += (
-                            step_x if at_x <= at_y and at_x <= at_z else step_y if at_y <= at_z else step_z
-                        )
-                    start, end = enter >> _TO_UNIT, min(leave, REACH) >> _TO_UNIT
-                    place = (start + end) >> 1
-                    near = near_class(place, prediction[10], prediction[11])
-                    fill_contexts(slots, grid, cell, prediction, start, end, number, kind, near)
-                    weight_set = number * _NEARS + near
-                    if known:
-                        fill_known_contexts(slots, grid, cell, behind, prediction, start, end, number, near)
-                        weight_set = KNOWN_SETS + held(grid, cell) * _NEARS + near
-                    ends_here = code_mixed_arrays(
-                        coder_state,
-                        buffer,
-                        models,
-                        weights,
-                        bases,
-                        slots,
-                        inputs,
-                        adaptation,
-                        learning_shift,
-                        weight_set,
-                        main_set(prediction, place),
-                        wanted,
-                    )
-                    if partial and coder_state[UNCERTAIN]:
-                        return NONE
-                    if ends_here:
-                        state = OCCUPIED
-                        grid[cell] |= np.uint8(OCCUPIED)
-            if state == OCCUPIED:
-                return int(_range_in(enter, min(leave, REACH), prediction))
-            if leave < REACH:
-                grid[cell] |= np.uint8(FREE)
-        if leave >= REACH:
-            return FAR
-        enter = leave
-        if at_x <= at_y and at_x <= at_z:
-            cell += step_x
-            at_x += pitch_x
-        elif at_y <= at_z:
-            cell += step_y
-            at_y += pitch_y
-        else:
-            cell += step_z
-            at_z += pitch_z
+def _aim(slope: int, eye: int, stride: int) -> tuple[int, int, int]:
+    """Along one axis: length to the first border, between borders, the step in the grid."""
+    if slope == 0:
+        return _NEVER, _NEVER, 0
+    pitch = floor_ratio(_ONE, abs(slope))
+    ahead = (1 << POSITION_BITS) - eye if slope > 0 else eye
+    return (ahead * pitch) >> POSITION_BITS, pitch, stride if slope > 0 else -stride
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -242,35 +260,41 @@ def _is_clear(
     at_x: int,
     at_y: int,
     at_z: int,
-    walk: NDArray[np.int64],
+    pitch_x: int,
+    pitch_y: int,
+    pitch_z: int,
+    step_x: int,
+    step_y: int,
+    step_z: int,
     limit: int,
     end: int,
 ) -> int:
     """1 if the ray meets nothing that the encoder wants occupied in its undecided voxels up to `end`."""
     while True:
         leave = min(at_x, at_y, at_z)
-        state = grid[cell] & STATE
+        voxel = grid[np.uint64(cell)]
+        state = voxel & STATE
         if leave > end or state == OCCUPIED:
             return 1
-        if state == UNDECIDED and _ends_in(grid[cell], enter, leave, limit):
+        if state == UNDECIDED and _ends_in(voxel, enter, leave, limit):
             return 0
         enter = leave
-        if at_x <= at_y and at_x <= at_z:
-            cell += walk[0, 2]
-            at_x += walk[0, 1]
-        elif at_y <= at_z:
-            cell += walk[1, 2]
-            at_y += walk[1, 1]
+        if at_x == leave:
+            cell += step_x
+            at_x += pitch_x
+        elif at_y == leave:
+            cell += step_y
+            at_y += pitch_y
         else:
-            cell += walk[2, 2]
-            at_z += walk[2, 1]
+            cell += step_z
+            at_z += pitch_z
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _range_in(enter: int, leave: int, prediction: NDArray[np.int64]) -> int:
+def _range_in(enter: int, leave: int, first: int, second: int) -> int:
     """Range of a hit as in Job.hits: the mean of both predictions, brought into the voxel."""
     guess = (enter + leave) >> 1
-    if prediction[8] >= 0 and prediction[9] >= 0:
-        guess = (prediction[8] + prediction[9]) << (_TO_UNIT - 1)
+    if first >= 0 and second >= 0:
+        guess = (first + second) << (_TO_UNIT - 1)
     inset = (leave - enter) >> 3
     return int(min(max(guess, enter + inset), leave - inset)) >> _TO_HIT

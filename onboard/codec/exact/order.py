@@ -22,8 +22,11 @@ LATTICES = {
     OS0_64.name: ((16, 16), (8, 8), (4, 4), (2, 2), (1, 1)),
     VLP_16.name: ((8, 24), (4, 12), (2, 6), (1, 3), (1, 1)),
 }
-STEP_FIELDS = 22
-"""First row, row step, first column, column step, pass, kind; (near, far) x (row, column) of four sides."""
+FIRST_SIDE, SIDE_FIELDS = 6, 6
+STEP_FIELDS = FIRST_SIDE + 4 * SIDE_FIELDS
+"""First row, row step, first column, column step, pass, kind; of four sides the offsets to the near and the far
+ray (row, column each) and both distances, which are the larger of |rows| and |columns|.
+"""
 
 
 @lru_cache(maxsize=4)
@@ -37,7 +40,11 @@ def coding_steps(model: LidarModel) -> NDArray[np.int64]:
 
 
 def _step(rows: Offset, columns: Offset, number: int, kind: int, *sides: tuple[Offset, Offset]) -> Step:
-    return (*rows, *columns, number, kind, *(part for near, far in sides for part in (*near, *far)))
+    return (*rows, *columns, number, kind, *(part for side in sides for part in _side(*side)))
+
+
+def _side(near: Offset, far: Offset) -> Step:
+    return (*near, *far, *(max(abs(rows), abs(columns)) for rows, columns in (near, far)))
 
 
 def _line(rows: int, columns: int) -> tuple[tuple[Offset, Offset], tuple[Offset, Offset]]:

@@ -9,6 +9,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from onboard.codec.exact.order import FIRST_SIDE, SIDE_FIELDS
 from onboard.codec.exact.rays import REACH_VOXELS
 
 UNIT_BITS, HIT_BITS = 6, 12
@@ -71,32 +72,29 @@ def predict_ray(
     hits: NDArray[np.int32],
     row: int,
     column: int,
-    step: NDArray[np.int64],
-    distances: NDArray[np.int64],
+    steps: NDArray[np.int64],
+    number: int,
     out: NDArray[np.int64],
 ) -> None:
-    """Fill `out` (PREDICTIONS,) for a ray from `hits` (H, W): coded ranges, NONE where there is none.
-
-    `distances` (SIDES,) is scratch.
-    """
+    """Fill `out` (PREDICTIONS,) for a ray of a step from `hits` (H, W): coded ranges, NONE where is none."""
     rows, columns = hits.shape
     for side in range(SIDES):
-        at = 6 + 4 * side
-        near_row = row + step[at]
+        at = FIRST_SIDE + SIDE_FIELDS * side
+        near_row = row + steps[number, at]
         near, far = np.int64(NONE), np.int64(NONE)
         if 0 <= near_row < rows:
-            near = _coded(hits[near_row, _around(column + step[at + 1], columns)])
-            far_row = row + step[at + 2]
+            near = _coded(hits[near_row, _around(column + steps[number, at + 1], columns)])
+            far_row = row + steps[number, at + 2]
             if near >= 0 and 0 <= far_row < rows:
-                far = _coded(hits[far_row, _around(column + step[at + 3], columns)])
-        distances[side] = max(abs(step[at]), abs(step[at + 1]))
-        to_far = max(abs(step[at + 2]), abs(step[at + 3]))
+                far = _coded(hits[far_row, _around(column + steps[number, at + 3], columns)])
         out[side] = near
-        out[SIDES + side] = _beyond(near, far, distances[side], to_far)
+        out[SIDES + side] = _beyond(near, far, steps[number, at + 4], steps[number, at + 5])
     for axis in range(2):
         a, b = 2 * axis, 2 * axis + 1
         if out[a] >= 0 and out[b] >= 0:
-            out[8 + axis] = _between(out[a], out[b], distances[a], distances[b])
+            to_a = steps[number, FIRST_SIDE + SIDE_FIELDS * a + 4]
+            to_b = steps[number, FIRST_SIDE + SIDE_FIELDS * b + 4]
+            out[8 + axis] = _between(out[a], out[b], to_a, to_b)
         else:
             out[8 + axis] = max(out[SIDES + a], out[SIDES + b])
     low, high = np.int64(_FAR), np.int64(0)

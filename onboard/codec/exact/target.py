@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.codec.exact.grid import HOME, STRIDE_X, STRIDE_Y, TARGET, Grid
+from onboard.codec.exact.grid import HOME, STRIDE_X, STRIDE_Y, STRIDE_Z, TARGET, Grid
 from onboard.codec.exact.rays import LENGTH_BITS, REACH, REACH_M, VOXEL_M
 from onboard.core.geometry import FloatArray, Pose
 from onboard.core.lidar import LidarModel
@@ -46,7 +46,7 @@ def _mark_ends(grid: Grid, ranges: FloatArray, directions: FloatArray, eye: Floa
             x = int(np.floor((eye[0] + directions[i, 0] * length) / VOXEL_M))
             y = int(np.floor((eye[1] + directions[i, 1] * length) / VOXEL_M))
             z = int(np.floor((eye[2] + directions[i, 2] * length) / VOXEL_M))
-            grid[HOME + x * STRIDE_X + y * STRIDE_Y + z] |= np.uint8(TARGET)
+            grid[HOME + x * STRIDE_X + y * STRIDE_Y + z * STRIDE_Z] |= np.uint8(TARGET)
 
 
 @njit(cache=True, nogil=True)

@@ -40,9 +40,9 @@ _SEARCHES = 4
 _BUDGET_SHARE = 0.97
 _CUT_SHARE = 1.05
 _CUT_SHORT = 16
-_FIRST_SHARE = 1.0
-"""Bytes of a stream over the estimate, before the first one was written."""
-_AIM = 1.01
+_FAIR_PRICE, _FAIR_POWER = 600, 0.09
+_AIM = 0.01
+_SURE = 1.12
 _PRICES = (5, 20_480)
 _FINER_BELOW = (1365, 683, 341)
 _ROOTS_A_BYTE = 4
@@ -96,9 +96,10 @@ def encode_quadtree(
     if not QUALITIES[0] <= quality <= QUALITIES[1]:
         raise InputError(f"quality = {quality}: must lie between {QUALITIES[0]} and {QUALITIES[1]}")
     plan = plan_scan(ranges, model, pose, shipped_priors(model.name))
-    if budget_bytes is None:
-        return _encode_at(plan, price_of(quality))
-    return _encode_within(plan, budget_bytes)
+    if budget_bytes is not None:
+        return _encode_within(plan, budget_bytes)
+    price = price_of(quality)
+    return _encode_at(plan, price, choose(plan, price))
 
 
 def decode_quadtree(payload: bytes, model: LidarModel) -> NDArray[np.float32]:
@@ -150,8 +151,7 @@ def choose(plan: Plan, price: int) -> Samples:
 
 def estimate(plan: Plan, price: int) -> int:
     """Cut the plan's tree at this price; about how many bytes it takes."""
-    best = np.zeros(plan.tree.cut.shape[1:], dtype=np.int64)
-    cuts = search.prune(plan.tree, plan.costs, best, price)
+    cuts = search.prune(plan.tree, plan.costs, price)
     roots = (plan.measured.ranges.shape[0] // plan.tree.block_rows[0] + 1) * (
         plan.measured.ranges.shape[1] // plan.tree.block_columns[0]
     )
@@ -168,8 +168,7 @@ def write(plan: Plan, samples: Samples, coder: MixingCoder, price: int) -> None:
     _code(coder, samples, plan.tree, plan.scratch, fineness_of(price), False, True)
 
 
-def _encode_at(plan: Plan, price: int) -> bytes:
-    samples = choose(plan, price)
+def _encode_at(plan: Plan, price: int, samples: Samples) -> bytes:
     coder = new_writer(MAX_PAYLOAD, plan.priors)
     write(plan, samples, coder, price)
     return bytes([STEPS_MM.index(samples.step_mm) | fineness_of(price) << 2]) + finish(coder)
@@ -196,11 +195,19 @@ def _code(
 
 
 def _encode_within(plan: Plan, budget_bytes: int) -> bytes:
-    """The payload that fits best; what a slightly longer one has too much is cut off its end."""
-    fits, longer, share = b"", b"", _FIRST_SHARE
-    for _ in range(_SEARCHES):
-        price = _price_for(plan, budget_bytes * _AIM / share)
-        payload = _encode_at(plan, price)
+    """The payload that fits best; what a slightly longer one has too much is cut off its end.
+
+    Samples are moved for the first price only: for the others, which are close to it, they stay good.
+    """
+    fits, longer, share = b"", b"", 1.0
+    samples: Samples | None = None
+    for attempt in range(_SEARCHES):
+        # too long can be cut short, too short cannot be helped: the last attempt makes sure
+        aim = _SURE if attempt == _SEARCHES - 1 and not longer else 1 + _AIM * (attempt + 1)
+        price = _price_for(plan, budget_bytes * aim / share)
+        if samples is None:
+            samples = choose(plan, price)
+        payload = _encode_at(plan, price, samples)
         if len(payload) > budget_bytes:
             longer = payload if not longer else min(longer, payload, key=len)
         else:
@@ -209,19 +216,26 @@ def _encode_within(plan: Plan, budget_bytes: int) -> bytes:
             break
         if fits and price <= _PRICES[0]:
             return fits
-        share = len(payload) / estimate(plan, price)
+        share = len(payload) / _expected(plan, price)
     if len(fits) >= _BUDGET_SHARE * budget_bytes or not longer:
         return fits
     return truncate_quadtree(longer, budget_bytes)
 
 
 def _price_for(plan: Plan, estimated_bytes: float) -> int:
-    """The lowest price at which the tree is estimated to take no more."""
+    """The lowest price at which the tree is estimated to take no more; the tree is cut for it."""
     low, high = _PRICES
-    while high - low > max(1, low >> 6):
+    while high - low > max(1, low >> 5):
         middle = round((low * high) ** 0.5) if low * 2 < high else (low + high) // 2
-        if estimate(plan, middle) > estimated_bytes:
+        if _expected(plan, middle) > estimated_bytes:
             low = middle
         else:
             high = middle
-    return high if estimate(plan, low) > estimated_bytes else low
+    price = high if _expected(plan, low) > estimated_bytes else low
+    estimate(plan, price)  # leaves the tree cut for it
+    return price
+
+
+def _expected(plan: Plan, price: int) -> float:
+    """About how many bytes a payload takes: the estimate, and how it was wrong on training scans."""
+    return float(estimate(plan, price) * (price / _FAIR_PRICE) ** _FAIR_POWER)

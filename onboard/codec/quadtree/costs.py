@@ -20,10 +20,17 @@ _ZERO_RATE, _ONE_RATE, _NEAR_RATE = 29, 166, 256
 
 
 class Costs(NamedTuple):
-    """Per depth and block, as Tree.cut with one depth more: damage if uncut, rate of the new samples."""
+    """Per depth and block, as Tree.cut with one depth more: damage if uncut, rate of the new samples.
+
+    `queue` (N, 3) lists depth, row and column of the `queued[0]` blocks that may be cut: those with
+    damage, coarse ones first. `best` is scratch for the search.
+    """
 
     damage: Integers
     rate: Integers
+    best: Integers
+    queue: Integers
+    queued: Integers
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -95,30 +102,46 @@ def sample_all(samples: Samples, filled: NDArray[np.float32]) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def measure_blocks(samples: Samples, tolerance: Tolerance, tree: Tree, costs: Costs, guess: Guess) -> None:
-    """Damage and rate of every block at every depth, with samples as measured.
+    """Damage and rate of the blocks, with samples as measured, into fresh `costs`.
 
     Below a block without damage nothing is measured: it will not be cut.
     """
     rows, columns = tolerance.weight.shape
-    cuts = tree.cut.shape[0]
-    for depth in range(cuts + 1):
-        height, width = tree.block_rows[depth], tree.block_columns[depth]
-        for row in range(rows // height):
-            for column in range(columns // width):
-                if depth > 0 and _damage_above(tree, costs, depth, row, column) == 0:
-                    costs.damage[depth, row, column] = 0
-                    continue
-                top, left = row * height, column * width
-                damage = block_damage(samples, tolerance, top, left, height, width)
-                costs.damage[depth, row, column] = damage
-                if depth < cuts and damage > 0:
-                    costs.rate[depth, row, column] = _cut_rate(samples, tree, guess, depth, top, left)
+    costs.queued[0] = 0
+    for row in range(rows // tree.block_rows[0]):
+        for column in range(columns // tree.block_columns[0]):
+            _measure(samples, tolerance, tree, costs, guess, 0, row, column)
+    place = 0
+    while place < costs.queued[0]:
+        depth, row, column = costs.queue[place]
+        down, across = tree.parts_down[depth], tree.parts_across[depth]
+        for i in range(down):
+            for j in range(across):
+                below = row * down + i, column * across + j
+                _measure(samples, tolerance, tree, costs, guess, depth + 1, below[0], below[1])
+        place += 1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _damage_above(tree: Tree, costs: Costs, depth: int, row: int, column: int) -> int:
-    above, beside = row // tree.parts_down[depth - 1], column // tree.parts_across[depth - 1]
-    return int(costs.damage[depth - 1, above, beside])
+@njit(cache=True, nogil=True, error_model="numpy")
+def _measure(
+    samples: Samples,
+    tolerance: Tolerance,
+    tree: Tree,
+    costs: Costs,
+    guess: Guess,
+    depth: int,
+    row: int,
+    column: int,
+) -> None:
+    """Damage of one block; if it has some and can be cut, its rate and a place in the queue."""
+    height, width = tree.block_rows[depth], tree.block_columns[depth]
+    damage = block_damage(samples, tolerance, row * height, column * width, height, width)
+    costs.damage[depth, row, column] = damage
+    if damage and depth < tree.cut.shape[0]:
+        costs.rate[depth, row, column] = _cut_rate(samples, tree, guess, depth, row * height, column * width)
+        place = costs.queued[0]
+        costs.queue[place, 0], costs.queue[place, 1], costs.queue[place, 2] = depth, row, column
+        costs.queued[0] = place + 1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -150,4 +173,10 @@ def new_costs(tree: Tree) -> Costs:
     """Room for all blocks of a tree."""
     cuts, rows, columns = tree.cut.shape
     shape = (cuts + 1, rows, columns)
-    return Costs(np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=np.int64))
+    return Costs(
+        np.zeros(shape, dtype=np.int64),
+        np.zeros(shape, dtype=np.int64),
+        np.zeros(shape, dtype=np.int64),
+        np.zeros((cuts * rows * columns, 3), dtype=np.int64),
+        np.zeros(1, dtype=np.int64),
+    )

@@ -10,50 +10,42 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.codec.quadtree.costs import BIT, CUT_RATE, UNCUT_RATE, Costs, block_damage, residual_rate
-from onboard.codec.quadtree.lattice import Integers, Samples, Tree, leaf_depths, put_sample
+from onboard.codec.quadtree.lattice import Samples, Tree, leaf_depths, put_sample
 from onboard.codec.quadtree.predict import GUESS_MM, Guess, guess_new, guess_root
 from onboard.codec.quadtree.tolerance import Tolerance
 from onboard.codec.quadtree.traverse import east_of, is_block
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def prune(tree: Tree, costs: Costs, best: Integers, price: int) -> int:
-    """Cut where D + lambda R falls; `price` is lambda in damage per bit, `best` scratch for a depth of costs.
-
-    Returns the rate of all that is cut.
-    """
-    cuts = tree.cut.shape[0]
-    best[:, :] = costs.damage[cuts]
-    for depth in range(cuts - 1, -1, -1):
-        blocks_down, blocks_across = blocks_at(tree, depth)
+def prune(tree: Tree, costs: Costs, price: int) -> int:
+    """Cut where D + lambda R falls; `price` is lambda in damage per bit. Returns the rate of all cuts."""
+    for place in range(costs.queued[0] - 1, -1, -1):
+        depth, row, column = costs.queue[place]
+        uncut = costs.damage[depth, row, column] + price * UNCUT_RATE // BIT
+        whole = price * (CUT_RATE + costs.rate[depth, row, column]) // BIT
         down, across = tree.parts_down[depth], tree.parts_across[depth]
-        for row in range(blocks_down):
-            for column in range(blocks_across):
-                uncut = costs.damage[depth, row, column] + price * UNCUT_RATE // BIT
-                whole = price * (CUT_RATE + costs.rate[depth, row, column]) // BIT
-                for i in range(down):
-                    for j in range(across):
-                        whole += best[down * row + i, across * column + j]
-                tree.cut[depth, row, column] = 1 if whole < uncut else 0
-                best[row, column] = min(whole, uncut)
+        for i in range(down):
+            for j in range(across):
+                whole += _least_cost(tree, costs, price, depth + 1, row * down + i, column * across + j)
+        tree.cut[depth, row, column] = 1 if whole < uncut else 0
+        costs.best[depth, row, column] = min(whole, uncut)
     rate = 0
-    for depth in range(cuts):
-        blocks_down, blocks_across = blocks_at(tree, depth)
-        for row in range(blocks_down):
-            for column in range(blocks_across):
-                if not is_block(tree, depth, row, column):
-                    tree.cut[depth, row, column] = 0
-                elif tree.cut[depth, row, column]:
-                    rate += CUT_RATE + costs.rate[depth, row, column]
+    for place in range(costs.queued[0]):
+        depth, row, column = costs.queue[place]
+        if not is_block(tree, depth, row, column):
+            tree.cut[depth, row, column] = 0
+        elif tree.cut[depth, row, column]:
+            rate += CUT_RATE + costs.rate[depth, row, column]
     return rate
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def blocks_at(tree: Tree, depth: int) -> tuple[int, int]:
-    """Blocks of a depth in rows and columns."""
-    finest = tree.cut.shape[0]
-    rows = tree.cut.shape[1] * tree.block_rows[finest] // tree.block_rows[depth]
-    return rows, tree.cut.shape[2] * tree.block_columns[finest] // tree.block_columns[depth]
+def _least_cost(tree: Tree, costs: Costs, price: int, depth: int, row: int, column: int) -> int:
+    """D + lambda R of a block as decided; the smallest blocks have no flag."""
+    damage = costs.damage[depth, row, column]
+    if depth == tree.cut.shape[0]:
+        return int(damage)
+    return int(costs.best[depth, row, column] if damage else price * UNCUT_RATE // BIT)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -73,10 +65,11 @@ def refine(samples: Samples, tolerance: Tolerance, tree: Tree, guess: Guess, pri
     for depth in range(tree.cut.shape[0]):
         height, width = tree.block_rows[depth], tree.block_columns[depth]
         up, aside = height // tree.parts_down[depth], width // tree.parts_across[depth]
-        for row in range(0, rows, height):
-            for column in range(0, columns, width):
-                if not is_cut(tree, depth, row, column):
+        for v in range(rows // height):
+            for u in range(columns // width):
+                if not tree.cut[depth, v, u]:
                     continue
+                row, column = v * height, u * width
                 for place in range(tree.counts[depth]):
                     down, across = tree.places[depth, place]
                     at_row, at_column = row + down * up, (column + across * aside) % columns
@@ -84,13 +77,6 @@ def refine(samples: Samples, tolerance: Tolerance, tree: Tree, guess: Guess, pri
                         guess_new(guess, samples, at_row, at_column, up, aside, east_of(tree, depth, across))
                         samples.known[at_row, at_column] = 1
                         _settle(samples, tolerance, tree, depths, guess, at_row, at_column, price)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def is_cut(tree: Tree, depth: int, row: int, column: int) -> bool:
-    """Whether the block with its corner at this pixel exists and is cut."""
-    v, u = row // tree.block_rows[depth], column // tree.block_columns[depth]
-    return bool(is_block(tree, depth, v, u) and tree.cut[depth, v, u])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
