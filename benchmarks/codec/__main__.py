@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 from rich.console import Console
 
-from benchmarks.codec import report, summary
+from benchmarks.codec import document, report, summary
 from benchmarks.codec.measure import Sample, measure
 from benchmarks.codec.ours import Fixed, Ours
 from benchmarks.codec.peers.learned import PaperVaes
@@ -51,6 +51,7 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--sensors", nargs="+", default=list(SENSORS), choices=list(SENSORS))
     add("--codecs", nargs="+", default=list(FAMILIES), choices=list(FAMILIES))
     add("--learned", type=Path, help="folder with exported models of the paper's codec, one folder a LiDAR")
+    add("--docs", type=Path, help="folder of the documentation whose page of results is renewed")
     return parser.parse_args(arguments)
 
 
@@ -116,7 +117,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except InputError as error:
         say(f"[red]error:[/] {error}")
         return 2
-    write({key: summary.points(found) for key, found in samples.items()}, options.out)
+    results = {key: summary.points(found) for key, found in samples.items()}
+    write(results, options.out)
+    if options.docs:
+        document.write_page(results, options.docs)
     say(f"written: {options.out / 'codec.md'}")
     return 0
 

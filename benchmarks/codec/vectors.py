@@ -67,7 +67,7 @@ def facts(keyframe: Keyframe) -> dict[str, Any]:
     if keyframe.cells is None:
         known = np.where(np.isinf(keyframe.ranges), _NO_RETURN_MM / 1000, keyframe.ranges)
         return found | {"ranges_crc32c": f"{crc32c(np.rint(known * 1000).astype('<u2').tobytes()):08x}"}
-    for name, cells in zip(("occupied", "free"), keyframe.cells, strict=True):
+    for name, cells in zip(("occupied", "free"), keyframe.voxels(), strict=True):
         ordered = cells[np.lexsort(cells.T[::-1])].astype("<i4")
         found |= {name: len(cells), f"{name}_crc32c": f"{crc32c(ordered.tobytes()):08x}"}
     return found

@@ -44,4 +44,6 @@ def score(original: VoxelMaps, codec: int, payload: bytes, task: Task) -> float:
 
 
 def _voxels(content: Content, task: Task) -> VoxelMaps:
-    return content.voxels or voxelise(content.ranges, task.model, task.pose)
+    if content.cells is not None:
+        return content.cells.occupied, content.cells.free
+    return voxelise(content.ranges, task.model, task.pose)

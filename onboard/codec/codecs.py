@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.codec.container import EXACT, EXACT_REFERENCED, LEARNED, QUADTREE
-from onboard.codec.exact import decode_exact, encode_exact
+from onboard.codec.exact import ExactCells, decode_exact, encode_exact
 from onboard.codec.learned import decode_learned, encode_learned
 from onboard.codec.quadtree import decode_quadtree, encode_quadtree
 from onboard.codec.voxels import Cells
@@ -39,10 +39,13 @@ class Task(NamedTuple):
 
 
 class Content(NamedTuple):
-    """What a payload says: ranges (H, W) in metres, and the voxels where the codec names them itself."""
+    """What a payload says: ranges (H, W) in metres, and the voxels where the codec names them itself.
+
+    The voxels are listed only when asked for: of an open sky there are two million.
+    """
 
     ranges: Ranges
-    voxels: Voxels | None
+    cells: ExactCells | None
 
 
 def union(voxels: Sequence[Voxels]) -> Voxels:
@@ -74,7 +77,7 @@ def decode_payload(
         cells = decode_exact(payload, model, pose, known)
     except InputError as error:  # no learned model or no priors here: this receiver cannot read it
         raise CodecError(f"keyframe: {error}") from error
-    return Content(cells.ranges, (cells.occupied, cells.free))
+    return Content(cells.ranges, cells)
 
 
 def _quadtree(task: Task) -> bytes:

@@ -24,6 +24,7 @@ from onboard.codec.container import (
     references_bytes,
     unpack,
 )
+from onboard.codec.exact import ExactCells
 from onboard.codec.pose_bits import pack_pose, unpack_pose
 from onboard.codec.quadtree import truncate_quadtree
 from onboard.codec.voxels import VOXEL_M, Cells, voxelise
@@ -48,12 +49,12 @@ class Keyframe:
     codec: str
     pose: Pose
     ranges: Ranges
-    cells: Voxels | None = field(default=None, repr=False)
+    cells: ExactCells | None = field(default=None, repr=False)
 
     def voxels(self, voxel_m: float = VOXEL_M) -> tuple[Cells, Cells]:
         """Occupied (N, 3) and free (M, 3) voxels in the map frame, as floor(p / voxel_m)."""
         if self.cells is not None and voxel_m == VOXEL_M:
-            return self.cells
+            return self.cells.occupied, self.cells.free
         return voxelise(self.ranges, self.model, self.pose, voxel_m)
 
     def scan_rays(self, reach_m: float) -> NDArray[np.float32]:
@@ -106,7 +107,7 @@ def decode(data: bytes, references: References | None = None) -> Keyframe:
     pose = unpack_pose(container.pose)
     known = _find(container.references, references) if container.references else None
     content = decode_payload(container.codec, container.payload, container.model, pose, known)
-    return Keyframe(container.model, NAMES[container.codec], pose, content.ranges, content.voxels)
+    return Keyframe(container.model, NAMES[container.codec], pose, content.ranges, content.cells)
 
 
 def truncate(data: bytes, max_bytes: int) -> bytes:
@@ -160,7 +161,7 @@ def _known(number: int, keyframe: Keyframe) -> Voxels:
     # The voxels of other codecs come out of floating point: two machines could disagree about them.
     if keyframe.cells is None:
         raise InputError(f"reference {number} is a {keyframe.codec} keyframe; refer to exact ones only")
-    return keyframe.cells
+    return keyframe.cells.occupied, keyframe.cells.free
 
 
 def _find(numbers: tuple[int, ...], references: References | None) -> Voxels:
@@ -171,5 +172,5 @@ def _find(numbers: tuple[int, ...], references: References | None) -> Voxels:
             raise CodecError(f"keyframe: needs keyframe {number} of the same source, which is not here")
         if keyframe.cells is None:
             raise CodecError(f"keyframe: refers to keyframe {number}, which is not an exact one")
-        voxels.append(keyframe.cells)
+        voxels.append((keyframe.cells.occupied, keyframe.cells.free))
     return union(voxels)

@@ -115,6 +115,17 @@ def load_priors(path: Path) -> Priors:
         raise InputError(f"{path}: not a file of coder priors ({error}); reinstall the package") from error
 
 
+def load_priors_for(path: Path, sizes: tuple[int, ...], weight_sets: int) -> Priors:
+    """As `load_priors`, for a coder with these contexts: kernels do not check theirs.
+
+    Raises InputError also for priors that were learned for other contexts.
+    """
+    priors = load_priors(path)
+    if priors.sizes != sizes or len(priors.weights) != weight_sets:
+        raise InputError(f"{path}: learned for other contexts than this version's; reinstall the package")
+    return priors
+
+
 def _models(probabilities: NDArray[np.uint16], counts: NDArray[np.uint8]) -> NDArray[np.uint32]:
     # The lost lower bits are replaced by half of what they can be.
     value = (probabilities.astype(np.uint32) << _STORED_PROBABILITY_SHIFT) | np.uint32(1 << 15)

@@ -11,7 +11,7 @@ import pytest
 import benchmarks.codec.__main__ as command
 from benchmarks.codec import ours, report, scansets
 from benchmarks.codec.measure import measure
-from benchmarks.codec.ours import BUDGETS, Ours
+from benchmarks.codec.ours import BUDGETS, QUALITIES, Ours
 from benchmarks.codec.peers import float_coder
 from benchmarks.codec.peers.fill import filled
 from benchmarks.codec.peers.quadtree import SETTINGS, PrototypeQuadtree, PrototypeQuadtrees, cell_weights
@@ -169,7 +169,7 @@ def test_the_settings_are_those_of_the_published_tables(small):
     assert [len(found) for found in labels.values()] == [10, 8]
 
 
-def test_our_codec_runs_at_every_budget(small, monkeypatch):
+def test_our_codec_runs_at_every_quality_and_budget(small, monkeypatch):
     calls = []
 
     class Frame:
@@ -183,7 +183,9 @@ def test_our_codec_runs_at_every_budget(small, monkeypatch):
     codecs = Ours().codecs("aerial", small["aerial"])
     for codec in codecs:
         assert codec.decode(codec.encode(small["aerial"][0]), Pose.identity()).pose is Frame.pose
-    assert calls == [*({"budget_bytes": budget} for budget in BUDGETS), {"codec": "exact"}]
+    fixed = [{"quality": quality, "codec": "quadtree"} for quality in QUALITIES]
+    budgets = [{"budget_bytes": budget, "codec": "quadtree"} for budget in BUDGETS]
+    assert calls == [*fixed, *budgets, {"codec": "exact"}]
     assert {codec.header_bytes for codec in codecs} == {0}
 
 
@@ -279,12 +281,19 @@ def test_the_command_writes_json_tables_and_plots(tmp_path, monkeypatch, small):
 
     monkeypatch.setattr(command, "scan_sets", lambda split, **options: small)
     monkeypatch.setattr(command, "FAMILIES", {"raw": Raws})
-    arguments = ["--out", str(tmp_path), "--sensors", "aerial", "--splits", "test"]
+    (tmp_path / "images").mkdir()
+    arguments = ["--out", str(tmp_path), "--sensors", "aerial", "--splits", "test", "--docs", str(tmp_path)]
     assert command.main(arguments) == 0
     results = json.loads((tmp_path / "codec.json").read_text())
     assert results["aerial test"]["points"][0]["similarity"]["f1"] == 1.0
     assert "## aerial, test" in (tmp_path / "codec.md").read_text()
     assert (tmp_path / "rd-aerial.png").is_file()
+    page = (tmp_path / "codec_results.md").read_text()
+    assert page.startswith("# Results")
+    assert all(
+        part in page for part in ("images/codec-aerial.png", "### aerial, test worlds", "At equal F1:")
+    )
+    assert (tmp_path / "images" / "codec-aerial.png").is_file()
 
 
 def test_the_command_says_what_is_wrong(tmp_path, monkeypatch, capsys):

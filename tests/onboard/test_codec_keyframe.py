@@ -73,8 +73,8 @@ def test_exact_keyframes_hold_their_own_voxels(model: LidarModel) -> None:
     assert keyframe.codec == "exact"
     assert keyframe.cells is not None
     occupied, free = keyframe.voxels(0.2)
-    assert occupied is keyframe.cells[0]
-    assert free is keyframe.cells[1]
+    assert occupied is keyframe.cells.occupied
+    assert free is keyframe.cells.free
     original = voxelise(scan.ranges, model, keyframe.pose)
     assert compare(original, (occupied, free)).unsafe26 == 0
     traced = keyframe.voxels(0.4)

@@ -13,7 +13,8 @@ from hypothesis import strategies as st
 
 from onboard.codec.metric import compare_ranges
 from onboard.codec.mixing_coder import new_reader
-from onboard.codec.quadtree import codec, decode_quadtree, encode_quadtree, truncate_quadtree
+from onboard.codec.priors import load_priors_for
+from onboard.codec.quadtree import codec, decode_quadtree, encode_quadtree, symbols, truncate_quadtree
 from onboard.codec.quadtree.lattice import new_samples, new_tree
 from onboard.core.errors import CodecError, InputError
 from onboard.core.lidar import OS0_64, VLP_16, LidarModel
@@ -182,10 +183,10 @@ def test_without_the_compiler_the_bytes_mean_the_same():
     assert result.stdout == decode_quadtree(payload, VLP_16).tobytes()
 
 
-def test_priors_for_other_contexts_are_refused(monkeypatch):
-    priors = codec.load_priors(Path(codec.__file__).parent / "os0-64.npz")
-    monkeypatch.setattr(codec, "load_priors", lambda path: priors._replace(sizes=(1, 2, 3)))
-    codec.shipped_priors.cache_clear()
+def test_priors_for_other_contexts_are_refused():
+    path = Path(codec.__file__).parent / "os0-64.npz"
+    assert load_priors_for(path, symbols.SIZES, symbols.WEIGHT_SETS).sizes == symbols.SIZES
     with pytest.raises(InputError, match="reinstall"):
-        codec.shipped_priors("os0-64")
-    codec.shipped_priors.cache_clear()
+        load_priors_for(path, symbols.SIZES[:-1], symbols.WEIGHT_SETS)
+    with pytest.raises(InputError, match="reinstall"):
+        load_priors_for(path, symbols.SIZES, symbols.WEIGHT_SETS + 1)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.codec.exact.contexts import KNOWN_SIZES, SIZES, WEIGHT_SETS
 from onboard.codec.exact.grid import (
     FREE,
     HOME,
@@ -40,7 +41,7 @@ from onboard.codec.mixing_coder import (
     new_reader,
     new_writer,
 )
-from onboard.codec.priors import Priors, load_priors
+from onboard.codec.priors import Priors, load_priors_for
 from onboard.core.errors import CodecError, InputError
 from onboard.core.geometry import Pose
 from onboard.core.lidar import LidarModel
@@ -179,4 +180,5 @@ def _check(ranges: NDArray[np.floating], model: LidarModel) -> None:
 @lru_cache(maxsize=4)
 def shipped_priors(model_name: str, known: bool) -> Priors:
     """What the coder knows of such scans before the first bit. Raises InputError if the file is gone."""
-    return load_priors(_PRIORS / f"{model_name}{'-known' if known else ''}.npz")
+    sizes = SIZES + KNOWN_SIZES if known else SIZES
+    return load_priors_for(_PRIORS / f"{model_name}{'-known' if known else ''}.npz", sizes, WEIGHT_SETS)

@@ -7,7 +7,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.codec.exact.grid import (
-    FREE,
     KNOWN_OCCUPIED,
     OCCUPIED,
     STATE,
@@ -115,7 +114,7 @@ def _around(grid: Grid, cell: int) -> tuple[int, int]:
                 state = np.int64(grid[np.uint64(base + x + y + z)])
                 free += state & 1
                 occupied += state >> 1 & 1
-    return free, occupied
+    return int(free), int(occupied)
 
 
 @njit(cache=True, nogil=True, inline="always")
@@ -130,7 +129,7 @@ def _faces(grid: Grid, cell: int, distance: int) -> int:
 
 @njit(cache=True, nogil=True, inline="always")
 def _state(grid: Grid, cell: int) -> int:
-    return np.int64(grid[np.uint64(cell)] & STATE)
+    return int(grid[np.uint64(cell)] & STATE)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -50,8 +50,9 @@ def _mark(grid: Grid, cells: Cells, home: NDArray[np.int64], flag: int) -> None:
 
 
 class States(NamedTuple):
-    """Voxels decided in a keyframe, 2 bits each: those of a grid from `first` on; `corner` (3,) is cell 0's index.
+    """Voxels decided in a keyframe, 2 bits each: those of a grid from cell `first` on.
 
+    `corner` (3,) is the map index of the grid's cell 0.
     `counts` (3,): undecided, free, occupied ones.
     """
 
@@ -73,14 +74,16 @@ def pack_states(grid: Grid, touched: NDArray[np.int64], home: NDArray[np.int64])
 
 @njit(cache=True, nogil=True)
 def _pack(grid: Grid, bits: NDArray[np.uint8], counts: NDArray[np.int64]) -> None:
+    free = occupied = np.int64(0)
     for i in range(len(bits)):
         packed = np.int64(0)
         for k in range(_CELLS_PER_BYTE):
             state = np.int64(grid[np.uint64(_CELLS_PER_BYTE * i + k)]) & STATE
             packed |= state << (2 * k)
-            counts[FREE] += state & 1
-            counts[OCCUPIED] += state >> 1
+            free += state & 1
+            occupied += state >> 1
         bits[i] = packed
+    counts[FREE], counts[OCCUPIED] = free, occupied
 
 
 def listed(states: States, state: int) -> Cells:

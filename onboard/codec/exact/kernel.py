@@ -32,7 +32,6 @@ from onboard.codec.exact.grid import (
 from onboard.codec.exact.predict import (
     FAR,
     HIT_BITS,
-    NONE,
     PREDICTIONS,
     SIDES,
     UNIT_BITS,
@@ -61,7 +60,8 @@ DIRECT = SKIPPED + SIDES + 1
 class Job(NamedTuple):
     """One keyframe: what both sides have, what the encoder wants (`limits`), what comes out (`grid`, `hits`).
 
-    `touched` (2,): the lowest and highest cell decided. `hits` (H, W) int32: where each ray ends in 1/4096 voxel, FAR for nowhere, NONE for a ray not (yet) coded.
+    `hits` (H, W) int32: where each ray ends in 1/4096 voxel, FAR for nowhere, NONE for a ray not (yet) coded.
+    `touched` (2,): the lowest and the highest cell decided.
     """
 
     directions: NDArray[np.int64]
@@ -83,7 +83,7 @@ def code_rays(coder: MixingCoder, job: Job) -> int:
 
     A ray is walked (Amanatides & Woo 1987) to the first occupied voxel.
     """
-    # Each array taken from a tuple or handed to another kernel is counted by an atomic: here that is done once.
+    # Each array taken from a tuple costs an atomic count of its references: here that is done once.
     grid, touched, hits, steps, limits = job.grid, job.touched, job.hits, job.steps, job.limits
     directions, eye = job.directions, job.eye
     writing, known, partial, skipping = job.writing, job.known, job.partial, job.skipping

@@ -24,8 +24,8 @@ LATTICES = {
 }
 FIRST_SIDE, SIDE_FIELDS = 6, 6
 STEP_FIELDS = FIRST_SIDE + 4 * SIDE_FIELDS
-"""First row, row step, first column, column step, pass, kind; of four sides the offsets to the near and the far
-ray (row, column each) and both distances, which are the larger of |rows| and |columns|.
+"""First row, row step, first column, column step, pass, kind; of four sides the offsets to the near and to
+the far ray (row, column each) and both distances, which are the larger of |rows| and |columns|.
 """
 
 

@@ -9,6 +9,7 @@ from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from onboard.core.errors import InputError
@@ -39,9 +40,20 @@ def cast_rays(model: LidarModel, pose: Pose) -> Rays:
         raise InputError(f"pose {values.tolist()} is not finite or has no attitude")
     fine = np.floor(pose.position / VOXEL_M * (1 << POSITION_BITS)).astype(np.int64)
     rotation = integer_rotation(pose)
-    rotated = _sensor_directions(model) @ rotation.T
-    half = 1 << (_ROTATION_BITS - 1)
-    return Rays((rotated + half) >> _ROTATION_BITS, fine & ((1 << POSITION_BITS) - 1), fine >> POSITION_BITS)
+    directions = _rotated(_sensor_directions(model), rotation)
+    return Rays(directions, fine & ((1 << POSITION_BITS) - 1), fine >> POSITION_BITS)
+
+
+@njit(cache=True, nogil=True)
+def _rotated(table: NDArray[np.int64], rotation: NDArray[np.int64]) -> NDArray[np.int64]:
+    half = np.int64(1) << (_ROTATION_BITS - 1)
+    rotated = np.empty_like(table)
+    for i in range(len(table)):
+        x, y, z = table[i, 0], table[i, 1], table[i, 2]
+        for k in range(3):
+            along = x * rotation[k, 0] + y * rotation[k, 1] + z * rotation[k, 2]
+            rotated[i, k] = (along + half) >> _ROTATION_BITS
+    return rotated
 
 
 def integer_rotation(pose: Pose) -> NDArray[np.int64]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.codec.mixing_coder import MixingCoder, failed, finish, finished_cleanly, new_reader, new_writer
-from onboard.codec.priors import Priors, load_priors
+from onboard.codec.priors import Priors, load_priors_for
 from onboard.codec.quadtree import costs as costs_of
 from onboard.codec.quadtree import search
 from onboard.codec.quadtree.fill import filled
@@ -70,11 +70,7 @@ class Plan(NamedTuple):
 @lru_cache
 def shipped_priors(model_name: str) -> Priors:
     """What was learned from training scans of this LiDAR (models/quadtree_priors.py)."""
-    path = Path(__file__).parent / f"{model_name}.npz"
-    priors = load_priors(path)
-    if priors.sizes != SIZES or len(priors.weights) != WEIGHT_SETS:  # the kernels do not check their contexts
-        raise InputError(f"{path}: learned for other contexts than this version's; reinstall the package")
-    return priors
+    return load_priors_for(Path(__file__).parent / f"{model_name}.npz", SIZES, WEIGHT_SETS)
 
 
 def encode_quadtree(
