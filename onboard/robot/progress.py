@@ -76,7 +76,8 @@ class BackOff:
         """Begin to go back to the newest place of the trail that is far enough away.
 
         `blocked` tells of a target (3,) whether the map shows something in the body's way there; the first
-        free direction is taken, and none where all are blocked: the body came turned another way.
+        free direction is taken. Where all are blocked the robot stays, for it came turned another way; but if
+        it does not get away by turning either, the trail is better evidence than the map.
         """
         self._tries = 0 if self.useful(pose) else self._tries + 1
         self._from = pose.position.copy()
@@ -92,6 +93,8 @@ class BackOff:
             if not blocked(target):
                 self._target, self._tries = target, turn
                 return
+        if self._tries:
+            self._target = pose.position + offset
 
     def useful(self, pose: Pose) -> bool:
         """Whether the robot has moved since it last began to back off."""

@@ -39,6 +39,15 @@ def test_a_robot_walled_in_stays():
     assert back_off.command(0.1, HERE) is None
 
 
+def test_a_robot_that_stays_stuck_trusts_its_trail_more_than_the_map():
+    back_off = BackOff()
+    back_off.start(0.0, HERE, TRAIL, lambda target: True)
+    back_off.start(5.0, HERE, TRAIL, lambda target: True)
+    command = back_off.command(5.1, HERE)
+    assert command is not None
+    assert command.linear[0] < 0
+
+
 def test_without_progress_the_next_try_goes_elsewhere():
     back_off = BackOff()
     back_off.start(0.0, HERE, TRAIL, lambda target: False)
