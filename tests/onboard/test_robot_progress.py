@@ -46,6 +46,13 @@ def test_a_robot_that_stays_stuck_trusts_its_trail_more_than_the_map():
     command = back_off.command(5.1, HERE)
     assert command is not None
     assert command.linear[0] < 0
+    seen = set()
+    for attempt in range(20):
+        back_off.start(10.0 + 5 * attempt, HERE, TRAIL, lambda target: True)
+        command = back_off.command(10.1 + 5 * attempt, HERE)
+        assert command is not None
+        seen.add(round(float(np.arctan2(command.linear[1], command.linear[0])) / 0.6))
+    assert len(seen) >= 10  # directions all around
 
 
 def test_without_progress_the_next_try_goes_elsewhere():
