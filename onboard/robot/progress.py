@@ -77,7 +77,7 @@ class BackOff:
 
         `blocked` tells of a target (3,) whether the map shows something in the body's way there; the first
         free direction is taken. Where all are blocked the robot stays, for it came turned another way; but if
-        it does not get away by turning either, it feels its way, whatever the map says: along the trail first.
+        it does not get away by turning either, it feels its way whatever the map says, along the trail first.
         """
         self._tries = 0 if self.useful(pose) else self._tries + 1
         self._from = pose.position.copy()
