@@ -21,6 +21,7 @@ BACK_OFF_M = 0.8
 BACK_OFF_SPEED_M_S = 0.3
 OTHER_WAY_RAD = 2.4
 OTHER_WAYS = 8
+FEEL_AFTER = 3
 
 
 @dataclass
@@ -69,6 +70,7 @@ class BackOff:
         self._target: FloatArray | None = None
         self._from: FloatArray | None = None
         self._tries = 0
+        self._turn = 0
 
     def start(
         self, now_s: float, pose: Pose, trail: list[FloatArray], blocked: Callable[[FloatArray], bool]
@@ -76,10 +78,12 @@ class BackOff:
         """Begin to go back to the newest place of the trail that is far enough away.
 
         `blocked` tells of a target (3,) whether the map shows something in the body's way there; the first
-        free direction is taken. Where all are blocked the robot stays, for it came turned another way; but if
-        it does not get away by turning either, it feels its way whatever the map says, along the trail first.
+        free direction is taken, another one at each attempt. Where all are blocked the robot stays, for it came
+        turned another way. If nothing helps it feels its way whatever the map says, along the trail first.
         """
-        self._tries = 0 if self.useful(pose) else self._tries + 1
+        moved = self.useful(pose)
+        self._tries = 0 if moved else self._tries + 1
+        self._turn = 0 if moved else self._turn + 1
         self._from = pose.position.copy()
         self._until_s = now_s + BACK_OFF_S
         places = [place for place in trail if np.linalg.norm(place - pose.position) >= BACK_OFF_M]
@@ -88,13 +92,15 @@ class BackOff:
             return
         offset = places[-1] - pose.position
         offset *= BACK_OFF_M / np.linalg.norm(offset)
-        for turn in range(self._tries, self._tries + OTHER_WAYS):
+        if self._tries >= FEEL_AFTER:
+            turn = self._tries - FEEL_AFTER
+            self._target = pose.position + _turned(offset, turn * OTHER_WAY_RAD)
+            return
+        for turn in range(self._turn, self._turn + OTHER_WAYS):
             target = pose.position + _turned(offset, turn * OTHER_WAY_RAD)
             if not blocked(target):
-                self._target, self._tries = target, turn
+                self._target, self._turn = target, turn
                 return
-        if self._tries:
-            self._target = pose.position + _turned(offset, (self._tries - 1) * OTHER_WAY_RAD)
 
     def useful(self, pose: Pose) -> bool:
         """Whether the robot has moved since it last began to back off."""

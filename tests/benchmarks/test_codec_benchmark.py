@@ -145,7 +145,7 @@ def test_far_rays_stay_far_at_every_step(small):
     far = PosedScan(Scan(0.0, np.full((64, 512), np.inf, np.float32), OS0_64), scans[0].pose)
     for setting in SETTINGS["aerial"][2:7]:
         codec = PrototypeQuadtree(setting, OS0_64, scans)
-        occupied, free = codec.decode(codec.encode(far), far.pose).maps
+        occupied, free = codec.decode(codec.encode(far), far.pose).maps()
         assert len(occupied) == 0
         assert len(free) > 100_000
 

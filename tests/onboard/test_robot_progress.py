@@ -9,7 +9,7 @@ from onboard.core.config import load_config
 from onboard.core.geometry import Pose
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.body import Body
-from onboard.robot.progress import BACK_OFF_M, BackOff
+from onboard.robot.progress import BACK_OFF_M, FEEL_AFTER, BackOff
 
 TEAM = Path(__file__).parents[2] / "config" / "sim" / "team.toml"
 HERE = Pose.from_rpy(np.array([2.0, 1.0, 0.0]))
@@ -39,20 +39,19 @@ def test_a_robot_walled_in_stays():
     assert back_off.command(0.1, HERE) is None
 
 
-def test_a_robot_that_stays_stuck_trusts_its_trail_more_than_the_map():
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_robot_that_stays_stuck_feels_its_way_whatever_the_map_shows(shown):
     back_off = BackOff()
-    back_off.start(0.0, HERE, TRAIL, lambda target: True)
-    back_off.start(5.0, HERE, TRAIL, lambda target: True)
-    command = back_off.command(5.1, HERE)
-    assert command is not None
-    assert command.linear[0] < 0
-    seen = set()
-    for attempt in range(20):
-        back_off.start(10.0 + 5 * attempt, HERE, TRAIL, lambda target: True)
-        command = back_off.command(10.1 + 5 * attempt, HERE)
+    for attempt in range(FEEL_AFTER):
+        back_off.start(5.0 * attempt, HERE, TRAIL, lambda target: shown)
+    headings = []
+    for attempt in range(FEEL_AFTER, FEEL_AFTER + 20):
+        back_off.start(5.0 * attempt, HERE, TRAIL, lambda target: shown)
+        command = back_off.command(5.0 * attempt + 0.1, HERE)
         assert command is not None
-        seen.add(round(float(np.arctan2(command.linear[1], command.linear[0])) / 0.6))
-    assert len(seen) >= 10  # directions all around
+        headings.append(float(np.arctan2(command.linear[1], command.linear[0])))
+    assert abs(headings[0]) == pytest.approx(np.pi)  # along the trail
+    assert len({round(heading / 0.6) for heading in headings}) >= 10  # and all around
 
 
 def test_without_progress_the_next_try_goes_elsewhere():
