@@ -78,8 +78,8 @@ class BackOff:
         """Begin to go back to the newest place of the trail that is far enough away.
 
         `blocked` tells of a target (3,) whether the map shows something in the body's way there; the first
-        free direction is taken, another one at each attempt. Where all are blocked the robot stays, for it came
-        turned another way. If nothing helps it feels its way whatever the map says, along the trail first.
+        free direction is taken, another one at each attempt. Where all are blocked it stays, for it came
+        turned another way. If nothing helps it feels its way, whatever the map says, the trail first.
         """
         moved = self.useful(pose)
         self._tries = 0 if moved else self._tries + 1

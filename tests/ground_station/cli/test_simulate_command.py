@@ -165,7 +165,7 @@ def test_killed_run_exits_with_130_and_keeps_the_events(tmp_path: Path, number: 
         from ground_station.cli.app import main
         from ground_station.export import EventLog
 
-        signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where a shell began us behind its back
+        signal.signal(signal.SIGINT, signal.default_int_handler)  # background jobs ignore it
         _, out, number = sys.argv
         sys.argv = ["marsupial", "simulate", "--out", out]
 
