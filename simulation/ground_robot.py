@@ -27,6 +27,8 @@ BELLY_RATIO = 0.5
 TRAIL_SPACING_M = 0.25
 TRAIL_PLACES = 12
 """The way back is remembered over 3 m."""
+REFUSED_S = 15.0
+"""After so long of commands that were all refused the feet find back to where they stood before."""
 
 
 class _Stance(NamedTuple):
@@ -95,6 +97,8 @@ class GroundRobot:
         self.blocked = False
         self._stance = self._first_stance(np.asarray(position, dtype=np.float64), yaw_rad)
         self._trail = _Trail(self._stance.position)
+        self._stances = deque([self._stance], maxlen=TRAIL_PLACES)
+        self._refused_s = 0.0
         self.pose = Pose.from_matrix(_matrix(self._stance))
         self.min_clearance_m = self._stance.clearance_m
 
@@ -124,7 +128,11 @@ class GroundRobot:
         self.velocity_m_s = np.zeros(3)
         self.blocked = False
         if moving:
+            stance = self._stance
             self._walk(move, turn, wanted, dt_s)
+            self._refused_s = self._refused_s + dt_s if self._stance is stance else 0.0
+            if self._refused_s > REFUSED_S:
+                self._step_back()
         else:
             self.velocity_m_s[:2] = wanted
         self._battery.draw(limits.hover_power_w * (MOVING_POWER_RATIO if moving else 1.0), dt_s)
@@ -145,6 +153,19 @@ class GroundRobot:
                 self.velocity_m_s = np.array([velocity[0], velocity[1], climb / dt_s])
             self._accept(stance)
             return
+
+    def _step_back(self) -> None:
+        """Stand where the robot stood a step earlier.
+
+        The ground under the feet is fitted anew at each place, and on rocks the fit may jump: some places are
+        such that every move of a millimetre would leave the body in a rock. Legs would shuffle back.
+        """
+        self._refused_s = 0.0
+        while len(self._stances) > 1:
+            earlier = self._stances.pop()
+            if float(np.linalg.norm(earlier.position - self._stance.position)) > TRAIL_SPACING_M:
+                self._accept(earlier)
+                return
 
     def _attempt(self, move: FloatArray, turn: float) -> _Stance | None:
         """The stance after a motion, or None where the ground or the body forbids it.
@@ -195,6 +216,8 @@ class GroundRobot:
     def _accept(self, stance: _Stance) -> None:
         step = stance.position - self._stance.position
         self._stance = stance
+        if float(np.linalg.norm(stance.position - self._stances[-1].position)) > TRAIL_SPACING_M:
+            self._stances.append(stance)
         self._trail.follow(stance.position)
         self.pose = Pose.from_matrix(_matrix(stance))
         self.path_m += float(np.linalg.norm(step))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from onboard.core.errors import InputError
-from simulation.ground_robot import GroundRobot
+from simulation.ground_robot import REFUSED_S, TRAIL_SPACING_M, GroundRobot
 
 DT_S = 0.1
 FLOOR = (-10.0, -10.0, -0.2, 10.0, 10.0, 0.0)
@@ -200,3 +200,16 @@ def test_the_same_commands_give_the_same_path(stairs, ground_settings):
         walk(robot, 6.0, AHEAD, 0.05)
         ends.append((*robot.pose.position, *robot.pose.quaternion, robot.path_m, robot.min_clearance_m))
     assert ends[0] == ends[1]
+
+
+def test_a_place_that_refuses_every_move_is_left_the_way_it_was_entered(on_floor, monkeypatch):
+    robot = on_floor()
+    walk(robot, 4.0)
+    there = robot.pose.position.copy()
+    monkeypatch.setattr(robot, "_attempt", lambda move, turn: None)
+    walk(robot, REFUSED_S - 0.5)
+    assert robot.pose.position == pytest.approx(there)
+    walk(robot, 1.0)
+    back_m = np.linalg.norm(robot.pose.position - there)
+    assert TRAIL_SPACING_M < back_m < 3 * TRAIL_SPACING_M
+    assert robot.collisions == 0
