@@ -10,6 +10,7 @@ from onboard.codec.metric import VoxelMaps, compare
 from onboard.codec.voxels import voxelise
 from onboard.core.errors import InputError
 
+BLIND_SHARE = 0.1
 UNSAFE_WEIGHT = 2.0
 """An obstacle that the receiver takes for free space counts as much as two that it lacks."""
 
@@ -17,12 +18,14 @@ UNSAFE_WEIGHT = 2.0
 def choose(task: Task) -> tuple[int, bytes]:
     """Number and payload of the best codec for `task`.
 
-    Without a budget the quadtree. With one that of two whose map scores more, F1 - 2 unsafe26
+    Without a budget the quadtree, or the exact codec for a scan that is blind in more than BLIND_SHARE: the
+    quadtree would invent what is there. With one that of two whose map scores more, F1 - 2 unsafe26
     (onboard.codec.metric): the quadtree at the budget and, where it fits, the exact codec. A scan without any
     information is exact.
     """
     exact = EXACT if task.known is None else EXACT_REFERENCED
-    if not (task.ranges > 0).any():
+    seen = float((task.ranges > 0).mean())
+    if seen == 0 or (task.room_bytes is None and seen < 1 - BLIND_SHARE):
         return exact, encode_payload(exact, task)
     quadtree = encode_payload(QUADTREE, task)
     if task.room_bytes is None:

@@ -81,6 +81,20 @@ def test_exact_keyframes_hold_their_own_voxels(model: LidarModel) -> None:
     assert traced[0].tolist() == voxelise(keyframe.ranges, model, keyframe.pose, 0.4)[0].tolist()
 
 
+@pytest.mark.parametrize("model", [VLP_16, OS0_64])
+def test_auto_does_not_invent_surfaces_in_a_blind_sector(model: LidarModel) -> None:
+    scan = room(model)
+    ranges = scan.ranges.copy()
+    ranges[:, : model.columns // 2] = 0
+    half_blind = Scan(0.0, ranges, model)
+    assert decode(encode(scan, POSE)).codec == "quadtree"
+    keyframe = decode(encode(half_blind, POSE))
+    assert keyframe.codec == "exact"
+    seen = voxelise(ranges, model, keyframe.pose)
+    quadtree = decode(encode(half_blind, POSE, codec="quadtree"))
+    assert compare(seen, keyframe.voxels()).f1 > compare(seen, quadtree.voxels()).f1
+
+
 def test_auto_takes_the_codec_whose_map_scores_more(monkeypatch: pytest.MonkeyPatch) -> None:
     scan = room(OS0_64)
     assert decode(encode(scan, POSE, budget_bytes=120)).codec == "quadtree"  # exact does not fit
