@@ -16,7 +16,7 @@ from rich.console import Console
 
 from benchmarks.codec import document, report, summary
 from benchmarks.codec.measure import Sample, measure
-from benchmarks.codec.ours import Fixed, Ours
+from benchmarks.codec.ours import SERIES, Ours
 from benchmarks.codec.peers.learned import PaperVaes
 from benchmarks.codec.peers.quadtree import PrototypeQuadtree, PrototypeQuadtrees
 from benchmarks.codec.protocol import Family
@@ -89,7 +89,7 @@ def write(results: report.Results, out: Path) -> None:
     """codec.json, codec.md and rd-SENSOR.png."""
     sections, records = [], {}
     for (sensor, split), found in results.items():
-        equal = summary.comparisons(found, Fixed.series, PrototypeQuadtree.series)
+        equal = summary.comparisons(found, SERIES, PrototypeQuadtree.series)
         parts = (report.main_table(found), report.equal_table(equal), report.world_table(found))
         sections.append(f"## {sensor}, {split}\n\n" + "\n\n".join(parts))
         records[f"{sensor} {split}"] = {

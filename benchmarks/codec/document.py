@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from benchmarks.codec import report, summary
-from benchmarks.codec.ours import Fixed
+from benchmarks.codec.ours import SERIES
 from benchmarks.codec.peers.quadtree import PrototypeQuadtree
 
 PAGE = "codec_results.md"
@@ -42,6 +42,6 @@ def write_page(results: report.Results, docs: Path) -> None:
 
 def _section(results: report.Results, sensor: str, split: str) -> str:
     found = results[sensor, split]
-    equal = summary.comparisons(found, Fixed.series, PrototypeQuadtree.series)
+    equal = summary.comparisons(found, SERIES, PrototypeQuadtree.series)
     tables = report.main_table(found), "At equal F1:", report.equal_table(equal)
     return "\n\n".join((f"### {sensor}, {split} worlds", *tables))

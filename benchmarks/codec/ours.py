@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from benchmarks.codec.protocol import Codec, Decoded
 from benchmarks.codec.scansets import ScanSet
 from models.scans import PosedScan
@@ -9,65 +11,35 @@ from onboard.codec import decode, encode
 from onboard.codec.voxels import VOXEL_M
 from onboard.core.geometry import Pose
 
+SERIES = "marsupial"
 QUALITIES = (0.5, 1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 16.0, 50.0)
 BUDGETS = (128, 200, 256, 400, 1024)
 
 
-class Fixed:
-    """The quadtree at one quality: like the peer's settings, every scan takes what it needs."""
+class Variant:
+    """`onboard.codec.encode` with these options."""
 
-    series = "marsupial"
     header_bytes = 0
 
-    def __init__(self, quality: float) -> None:
-        self.setting = f"quality {quality:g}"
-        self._quality = quality
+    def __init__(self, series: str, setting: str, **options: Any) -> None:
+        self.series = series
+        self.setting = setting
+        self._options = options
 
     def encode(self, item: PosedScan) -> bytes:
-        return encode(item.scan, item.pose, quality=self._quality, codec="quadtree")
+        return encode(item.scan, item.pose, **self._options)
 
     def decode(self, data: bytes, pose: Pose) -> Decoded:
-        return _decoded(data)
-
-
-class Budgeted:
-    """The quadtree with a budget in bytes for every scan."""
-
-    series = "marsupial_budget"
-    header_bytes = 0
-
-    def __init__(self, budget_bytes: int) -> None:
-        self.setting = f"{budget_bytes} B"
-        self._budget_bytes = budget_bytes
-
-    def encode(self, item: PosedScan) -> bytes:
-        return encode(item.scan, item.pose, budget_bytes=self._budget_bytes, codec="quadtree")
-
-    def decode(self, data: bytes, pose: Pose) -> Decoded:
-        return _decoded(data)
-
-
-class Exact:
-    """The exact codec: no occupied voxel is ever called free."""
-
-    series = "marsupial_exact"
-    setting = "exact"
-    header_bytes = 0
-
-    def encode(self, item: PosedScan) -> bytes:
-        return encode(item.scan, item.pose, codec="exact")
-
-    def decode(self, data: bytes, pose: Pose) -> Decoded:
-        return _decoded(data)
-
-
-def _decoded(data: bytes) -> Decoded:
-    keyframe = decode(data)
-    return Decoded(keyframe.pose, lambda: keyframe.voxels(VOXEL_M))
+        keyframe = decode(data)
+        return Decoded(keyframe.pose, lambda: keyframe.voxels(VOXEL_M))
 
 
 class Ours:
-    """All qualities, all budgets and the exact codec."""
+    """The quadtree at all qualities, where every scan takes what it needs, and budgets; the exact codec."""
 
     def codecs(self, sensor: str, learnt: ScanSet) -> list[Codec]:
-        return [*(Fixed(q) for q in QUALITIES), *(Budgeted(budget) for budget in BUDGETS), Exact()]
+        return [
+            *(Variant(SERIES, f"quality {q:g}", quality=q, codec="quadtree") for q in QUALITIES),
+            *(Variant(f"{SERIES}_budget", f"{b} B", budget_bytes=b, codec="quadtree") for b in BUDGETS),
+            Variant(f"{SERIES}_exact", "exact", codec="exact"),
+        ]

@@ -59,6 +59,7 @@ _WEIGHT_BITS = 16
 _BIAS_SHIFT = 8
 _TO_STRETCH = np.uint32(COUNT_BITS + _TO_PROBABILITY)
 _ONE = 1 << PROBABILITY_BITS
+NO_SET = -1
 
 # The step of a model that has seen n bits: 1 / (n + 1.6) in 1/65536.
 _RATES = np.array([655360 // (10 * n + 16) for n in range(1 << COUNT_BITS)], dtype=np.int64)
@@ -114,26 +115,15 @@ def _coder(state: NDArray[np.int64], buffer: NDArray[np.uint8], priors: Priors) 
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_mixed(coder: MixingCoder, weight_set: int, bit: int) -> int:
     """Write `bit`, or read one (then `bit` is ignored), in the contexts `coder.slots`; returns the bit."""
-    mixed: int = code_mixed_arrays(
-        coder.state,
-        coder.buffer,
-        coder.models,
-        coder.weights,
-        coder.bases,
-        coder.slots,
-        coder.inputs,
-        coder.limit,
-        coder.learning_shift,
-        weight_set,
-        -1,
-        bit,
-    )
-    return mixed
+    return int(code_mixed_by_two(coder, weight_set, NO_SET, bit))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_mixed_by_two(coder: MixingCoder, weight_set: int, other_set: int, bit: int) -> int:
-    """Like `code_mixed`, with the sum of two different weight sets, each chosen by another context."""
+    """Like `code_mixed`, with the sum of two different weight sets, each chosen by another context.
+
+    `other_set` NO_SET: the first alone.
+    """
     mixed: int = code_mixed_arrays(
         coder.state,
         coder.buffer,
@@ -168,7 +158,7 @@ def code_mixed_arrays(
 ) -> int:
     """`code_mixed_by_two` for kernels that took the coder apart: each array taken from the tuple costs time.
 
-    `second` -1: no other weight set.
+    `second` NO_SET: no other weight set.
     """
     count = slots.size
     total = np.int64(weights[first, count]) << _BIAS_SHIFT

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.codec.protocol import Codec, Decoded
 from benchmarks.codec.scansets import ScanSet
@@ -29,27 +30,25 @@ class Coded:
     def encode(self, item: PosedScan) -> bytes:
         return self._codec.encode(item.scan.ranges)
 
+    def ranges(self, data: bytes) -> NDArray[np.float32]:
+        return self._codec.decode(data)
+
     def decode(self, data: bytes, pose: Pose) -> Decoded:
-        ranges = self._codec.decode(data)
+        ranges = self.ranges(data)
         return Decoded(pose, lambda: voxelise(ranges, self._codec.model, pose))
 
 
-class AsPublished:
+class AsPublished(Coded):
     """Latents as raw float32."""
 
     series = "paper_vae"
     setting = "float32"
-    header_bytes = HEADER_BYTES
-
-    def __init__(self, codec: LearnedCodec) -> None:
-        self._codec = codec
 
     def encode(self, item: PosedScan) -> bytes:
         return self._codec.latents(item.scan.ranges).astype("<f4").tobytes()
 
-    def decode(self, data: bytes, pose: Pose) -> Decoded:
-        ranges = self._codec.image(np.frombuffer(data, dtype="<f4").astype(np.float32))
-        return Decoded(pose, lambda: voxelise(ranges, self._codec.model, pose))
+    def ranges(self, data: bytes) -> NDArray[np.float32]:
+        return self._codec.image(np.frombuffer(data, dtype="<f4").astype(np.float32))
 
 
 class PaperVaes:

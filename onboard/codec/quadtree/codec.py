@@ -27,7 +27,7 @@ from onboard.codec.quadtree.predict import Guess, new_guess
 from onboard.codec.quadtree.surface import reconstruct
 from onboard.codec.quadtree.symbols import FINENESS, SIZES, WEIGHT_SETS
 from onboard.codec.quadtree.tolerance import WEIGHT_ONE, Tolerance, tolerances
-from onboard.codec.quadtree.traverse import code_tree
+from onboard.codec.quadtree.traverse import Stream, code_tree
 from onboard.core.errors import CodecError, InputError
 from onboard.core.geometry import Pose
 from onboard.core.lidar import LidarModel
@@ -187,7 +187,7 @@ def _code(
     samples.known[:, :] = 0
     scratch.residuals[:, :] = 0
     scratch.features[FINENESS] = fineness
-    code_tree(coder, samples, tree, scratch.residuals, scratch.guess, scratch.features, reading, complete)
+    code_tree(Stream(coder, samples, tree, *scratch, reading, complete))
 
 
 def _encode_within(plan: Plan, budget_bytes: int) -> bytes:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from onboard.codec.quadtree.lattice import INVERSE, Integers, Samples, Tree, nearest_level, put_sample
 from onboard.codec.quadtree.predict import COUNT, Guess
-from onboard.codec.quadtree.surface import COLUMNS, SLOPE_BITS, block_kind, row_ends
+from onboard.codec.quadtree.surface import COLUMNS, SLOPE_BITS, block_surface, row_ends
 from onboard.codec.quadtree.tolerance import Tolerance
 
 BIT = 64
@@ -49,11 +49,8 @@ def residual_rate(steps: int, level: int, guess: Guess, step: int) -> int:
 @njit(cache=True, nogil=True, error_model="numpy")
 def block_damage(samples: Samples, tolerance: Tolerance, top: int, left: int, height: int, width: int) -> int:
     """Damage of one uncut block."""
-    rows, columns = tolerance.weight.shape
-    right, bottom = (left + width) % columns, top + height
-    r, i = samples.ranges, samples.inverses
-    kind = block_kind(r[top, left], r[top, right], r[bottom, left], r[bottom, right])
-    corners = (i[top, left], i[top, right], i[bottom, left], i[bottom, right])
+    rows = tolerance.weight.shape[0]
+    kind, corners = block_surface(samples, top, left, height, width)
     total = 0
     half = (width + 1) >> 1
     for row in range(min(height, rows - top)):

@@ -35,6 +35,17 @@ def block_kind(a: int, b: int, c: int, d: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def block_surface(
+    samples: Samples, top: int, left: int, height: int, width: int
+) -> tuple[int, tuple[int, int, int, int]]:
+    """Kind of the block at pixel (top, left) and the inverses of its corners; the image is a ring."""
+    right, bottom = (left + width) % samples.ranges.shape[1], top + height
+    r, i = samples.ranges, samples.inverses
+    kind = block_kind(r[top, left], r[top, right], r[bottom, left], r[bottom, right])
+    return kind, (i[top, left], i[top, right], i[bottom, left], i[bottom, right])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def row_ends(kind: int, corners: tuple[int, int, int, int], row: int, height: int) -> tuple[int, int]:
     """Fine inverses at the left and right end of a block's `row`, from the inverses of its corners."""
     a, b, c, d = corners
@@ -65,10 +76,7 @@ def reconstruct(samples: Samples, tree: Tree, rows: int, columns: int) -> NDArra
 def _fill_block(
     ranges: NDArray[np.float32], samples: Samples, top: int, left: int, height: int, width: int
 ) -> None:
-    right, bottom = (left + width) % ranges.shape[1], top + height
-    r, i = samples.ranges, samples.inverses
-    kind = block_kind(r[top, left], r[top, right], r[bottom, left], r[bottom, right])
-    corners = (i[top, left], i[top, right], i[bottom, left], i[bottom, right])
+    kind, corners = block_surface(samples, top, left, height, width)
     for row in range(min(height, ranges.shape[0] - top)):
         start, end = row_ends(kind, corners, row, height)
         slope = ((end - start) << SLOPE_BITS) // width
@@ -80,6 +88,5 @@ def _fill_block(
             if inverse >> FINE_BITS <= FAR_INVERSE:
                 ranges[top + row, left + column] = np.inf
             else:
-                ranges[top + row, left + column] = np.float32((INVERSE << FINE_BITS) // inverse) / np.float32(
-                    1000
-                )
+                millimetres = np.float32((INVERSE << FINE_BITS) // inverse)
+                ranges[top + row, left + column] = millimetres / np.float32(1000)

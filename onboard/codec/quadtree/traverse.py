@@ -5,6 +5,8 @@ Each cut is followed by its new samples, edges before the inside. One routine wr
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 from numba import njit
 
 from onboard.codec.mixing_coder import MixingCoder, certain
@@ -13,48 +15,42 @@ from onboard.codec.quadtree.lattice import Integers, Samples, Tree, put_sample
 from onboard.codec.quadtree.predict import GUESS_MM, Guess, guess_new, guess_root
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def code_tree(
-    coder: MixingCoder,
-    samples: Samples,
-    tree: Tree,
-    residuals: Integers,
-    guess: Guess,
-    features: Integers,
-    reading: bool,
-    complete: bool,
-) -> None:
-    """Write the samples of `tree`, or read both. `residuals` (H + 1, W) and `features` (10,) are scratch.
+class Stream(NamedTuple):
+    """A stream being written or read, and what both sides know of it so far.
 
-    A stream that is not complete is read up to its last certain symbol: what is missing stays as guessed.
+    `residuals` (H + 1, W) and `features` (10,) are scratch. A stream that is not complete is read up to its
+    last certain symbol: what is missing stays as guessed.
     """
-    sound = _code_roots(coder, samples, tree, residuals, guess, features, reading, complete)
-    rows, columns = samples.ranges.shape[0] - 1, samples.ranges.shape[1]
+
+    coder: MixingCoder
+    samples: Samples
+    tree: Tree
+    residuals: Integers
+    guess: Guess
+    features: Integers
+    reading: bool
+    complete: bool
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def code_tree(stream: Stream) -> None:
+    """Write the samples of the stream's tree, or read both."""
+    tree = stream.tree
+    sound = _code_roots(stream)
+    rows, columns = stream.samples.ranges.shape[0] - 1, stream.samples.ranges.shape[1]
     for depth in range(tree.cut.shape[0]):
         height, width = tree.block_rows[depth], tree.block_columns[depth]
         for row in range(rows // height):
             for column in range(columns // width):
                 if not sound or not is_block(tree, depth, row, column):
                     continue
-                _cut_features(features, samples, tree, residuals, depth, row, column)
-                cut = symbols.code_cut(coder, features, depth, tree.cut[depth, row, column])
-                if reading:
-                    sound = complete or certain(coder)
+                _cut_features(stream, depth, row, column)
+                cut = symbols.code_cut(stream.coder, stream.features, depth, tree.cut[depth, row, column])
+                if stream.reading:
+                    sound = stream.complete or certain(stream.coder)
                     tree.cut[depth, row, column] = cut if sound else 0
                 if cut and sound:
-                    sound = _code_new(
-                        coder,
-                        samples,
-                        tree,
-                        residuals,
-                        guess,
-                        features,
-                        depth,
-                        row,
-                        column,
-                        reading,
-                        complete,
-                    )
+                    sound = _code_new(stream, depth, row, column)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -67,17 +63,9 @@ def is_block(tree: Tree, depth: int, row: int, column: int) -> bool:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _code_roots(
-    coder: MixingCoder,
-    samples: Samples,
-    tree: Tree,
-    residuals: Integers,
-    guess: Guess,
-    features: Integers,
-    reading: bool,
-    complete: bool,
-) -> bool:
+def _code_roots(stream: Stream) -> bool:
     """The coarsest lattice; whether the stream went on to its end."""
+    samples, tree, residuals, guess, features = _parts(stream)
     height, width = tree.block_rows[0], tree.block_columns[0]
     sound = True
     for row in range(0, samples.ranges.shape[0], height):
@@ -90,9 +78,7 @@ def _code_roots(
             near = guess.neighbours_mm
             features[symbols.SLOPE] = symbols.signed_class(near[4] - near[0], samples.step_mm)
             features[symbols.OTHER_SLOPE] = symbols.signed_class(near[3] - near[1], samples.step_mm)
-            sound = _code_sample(
-                coder, samples, residuals, guess, features, row, column, reading, complete, sound
-            )
+            sound = _code_sample(stream, row, column, sound)
     for row in range(0, samples.ranges.shape[0], height):
         for column in range(0, samples.ranges.shape[1], width):
             samples.known[row, column] = 1
@@ -100,20 +86,9 @@ def _code_roots(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _code_new(
-    coder: MixingCoder,
-    samples: Samples,
-    tree: Tree,
-    residuals: Integers,
-    guess: Guess,
-    features: Integers,
-    depth: int,
-    row: int,
-    column: int,
-    reading: bool,
-    complete: bool,
-) -> bool:
+def _code_new(stream: Stream, depth: int, row: int, column: int) -> bool:
     """The samples that a cut block adds; whether the stream went on to their end."""
+    samples, tree, residuals, guess, features = _parts(stream)
     height, width = tree.block_rows[depth], tree.block_columns[depth]
     up, aside = height // tree.parts_down[depth], width // tree.parts_across[depth]
     top, left = row * height, column * width
@@ -139,9 +114,7 @@ def _code_new(
         slope, other = _slopes(corners, down * up, across, height)
         features[symbols.SLOPE] = symbols.signed_class(slope, samples.step_mm)
         features[symbols.OTHER_SLOPE] = symbols.signed_class(other, samples.step_mm)
-        sound = _code_sample(
-            coder, samples, residuals, guess, features, at_row, at_column, reading, complete, sound
-        )
+        sound = _code_sample(stream, at_row, at_column, sound)
     return sound
 
 
@@ -165,35 +138,30 @@ def _slopes(corners: tuple[int, int, int, int], down: int, across: int, height: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _code_sample(
-    coder: MixingCoder,
-    samples: Samples,
-    residuals: Integers,
-    guess: Guess,
-    features: Integers,
-    row: int,
-    column: int,
-    reading: bool,
-    complete: bool,
-    sound: bool,
-) -> bool:
+def _code_sample(stream: Stream, row: int, column: int, sound: bool) -> bool:
     """One sample; behind the end of the stream it becomes what was guessed. Whether the stream goes on."""
-    start = (guess.numbers[GUESS_MM] + (samples.step_mm >> 1)) // samples.step_mm
+    samples = stream.samples
+    start = (stream.guess.numbers[GUESS_MM] + (samples.step_mm >> 1)) // samples.step_mm
     residual = 0
     if sound:
-        residual = symbols.code_residual(coder, samples, guess, features, samples.levels[row, column] - start)
-    if reading:
-        sound = sound and (complete or certain(coder))
+        wanted = samples.levels[row, column] - start
+        residual = symbols.code_residual(stream.coder, samples, stream.guess, stream.features, wanted)
+    if stream.reading:
+        sound = sound and (stream.complete or certain(stream.coder))
         residual = residual if sound else 0
         put_sample(samples, row, column, start + residual)
-    residuals[row, column] = residual
+    stream.residuals[row, column] = residual
     return sound
 
 
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _parts(stream: Stream) -> tuple[Samples, Tree, Integers, Guess, Integers]:
+    return stream.samples, stream.tree, stream.residuals, stream.guess, stream.features
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _cut_features(
-    features: Integers, samples: Samples, tree: Tree, residuals: Integers, depth: int, row: int, column: int
-) -> None:
+def _cut_features(stream: Stream, depth: int, row: int, column: int) -> None:
+    samples, tree, residuals, _, features = _parts(stream)
     height, width = tree.block_rows[depth], tree.block_columns[depth]
     top, left = row * height, column * width
     bottom, columns = top + height, samples.ranges.shape[1]
