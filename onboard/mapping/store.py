@@ -32,7 +32,8 @@ class BlockStore:
 
     log_odds (rows, 512) int8; masks (rows, 8): occupied (log-odds > 0), own_occupied (of these, hit by our
     own scans), bumped (assumed occupied), planning_occupied, planning_known (with what is assumed);
-    seen (rows, 2, 8): observed by OWN, PEER.
+    seen (rows, 2, 8): observed by OWN, PEER; changed (rows,): version of the map in which the
+    planning view of the block last changed.
     """
 
     def __init__(self, capacity: int = 1024) -> None:
@@ -45,6 +46,7 @@ class BlockStore:
         self.bumped = _no_masks()
         self.planning_occupied = _no_masks()
         self.planning_known = _no_masks()
+        self.changed: Words = np.empty(0, np.int64)
         self.keys: Words
         self.slots: Slots
         self._resize(capacity)
@@ -58,6 +60,7 @@ class BlockStore:
         self.bumped = _grown(self.bumped, capacity, 0)
         self.planning_occupied = _grown(self.planning_occupied, capacity, 0)
         self.planning_known = _grown(self.planning_known, capacity, 0)
+        self.changed = _grown(self.changed, capacity, 0)
         self.keys = np.full(_HASH_PLACES_PER_BLOCK * capacity, NO_BLOCK, np.int64)
         self.slots = np.empty(self.keys.size, np.int32)
         _fill_hash(self.keys, self.slots, self.block_keys, self.count)

@@ -60,10 +60,13 @@ def apply_marks(
     bumped: Words,
     planning_occupied: Words,
     planning_known: Words,
+    changed: Words,
+    version: int,
 ) -> None:
     """Log-odds update with clamping, masks of the touched blocks, and zeroed marks.
 
-    Casts after each operation keep 8-bit lanes: numba would widen to int64 (15 times slower).
+    Blocks whose planning masks come out different get `version` in `changed`. Casts after each operation keep
+    8-bit lanes: numba would widen to int64 (15 times slower).
     """
     gain, loss = _int8(hit), _int8(miss)
     for i in range(rows.size):
@@ -78,6 +81,7 @@ def apply_marks(
             new = _int8(LOG_ODDS_MIN) if new < _int8(LOG_ODDS_MIN) else new
             new = _int8(LOG_ODDS_MAX) if new > _int8(LOG_ODDS_MAX) else new
             values[k] = new if mark != 0 else old
+        difference = np.int64(0)
         for z in range(8):
             occupied_bits, seen_bits, hit_bits = np.int64(0), np.int64(0), np.int64(0)
             layer_values = values[64 * z : 64 * z + 64]
@@ -90,6 +94,10 @@ def apply_marks(
             seen[row, source, z] |= seen_bits
             own_hits = hit_bits if source == 0 else np.int64(0)
             own_occupied[row, z] = (own_occupied[row, z] | own_hits) & occupied_bits
-            planning_occupied[row, z] = occupied_bits | bumped[row, z]
+            planned = occupied_bits | bumped[row, z]
+            difference |= (planned ^ planning_occupied[row, z]) | (seen_bits & ~planning_known[row, z])
+            planning_occupied[row, z] = planned
             planning_known[row, z] |= seen_bits
+        if difference != 0:
+            changed[row] = version
         block_marks[:] = 0

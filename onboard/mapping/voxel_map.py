@@ -34,7 +34,7 @@ class VoxelMap:
     """Log-odds occupancy in hashed 8^3 blocks; voxel i covers [i, i + 1) * voxel_m.
 
     Two views: the observed voxels (exports, counts, comparison) and the planning view, which adds what was
-    assumed. `version` grows with every change.
+    assumed. `version` grows with every change; `changed_since` tells where.
     """
 
     def __init__(self, voxel_m: float = 0.2, max_range_m: float = 20.0) -> None:
@@ -66,8 +66,8 @@ class VoxelMap:
             self._scratch = scan.ScanScratch()
         points = np.ascontiguousarray(points, np.float32).reshape(-1, 3)
         touched = self._mark(self._scratch, points, np.asarray(pose, np.float64), min_range_m)
-        self._apply(self._scratch, touched, source)
         self.version += 1
+        self._apply(self._scratch, touched, source)
 
     def _mark(
         self,
@@ -116,6 +116,8 @@ class VoxelMap:
             store.bumped,
             store.planning_occupied,
             store.planning_known,
+            store.changed,
+            self.version,
         )
 
     def assume_free(self, lower: ArrayLike, upper: ArrayLike) -> None:
@@ -124,7 +126,7 @@ class VoxelMap:
         last = np.ceil(np.asarray(upper) / self.voxel_m - TOUCH_TOLERANCE).astype(np.int64) - 1
         rows = self.store.slots_of(block_keys_of_box(first >> 3, last >> 3))
         queries.set_within(self.store.planning_known, rows, self.store.block_keys, first, last)
-        self.version += 1
+        self._note_change(rows)
 
     def assume_occupied(self, points: ArrayLike) -> None:
         """Let planning treat the voxels of these points (N, 3), metres, as occupied for good."""
@@ -134,7 +136,16 @@ class VoxelMap:
         bits = np.left_shift(1, (voxels[:, 1] & 7) << 3 | (voxels[:, 0] & 7))
         for masks in (store.bumped, store.planning_occupied, store.planning_known):
             np.bitwise_or.at(masks, (rows, voxels[:, 2] & 7), bits)
+        self._note_change(rows)
+
+    def _note_change(self, rows: Words) -> None:
         self.version += 1
+        self.store.changed[rows] = self.version
+
+    def changed_since(self, version: int) -> Words:
+        """(N,) keys of the blocks whose planning view changed after the map had this `version`."""
+        store = self.store
+        return store.block_keys[: store.count][store.changed[: store.count] > version]
 
     def _voxels(self, points: ArrayLike) -> Words:
         scaled = np.atleast_2d(np.asarray(points, np.float64)) / self.voxel_m

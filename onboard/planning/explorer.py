@@ -8,6 +8,7 @@ from scipy.spatial import cKDTree
 
 from onboard.core.config import MapSettings, RobotSettings
 from onboard.planning.aerial_graph import Area
+from onboard.planning.cycle import CHOSEN, LOWER, TOO_LATE, Candidate, Cycle
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin
 from onboard.planning.navigator import SEEN_M, Navigator
 from onboard.planning.plan import NOTHING, Plan, Refusals, remaining_path
@@ -30,6 +31,7 @@ class Explorer(Navigator):
     ) -> None:
         super().__init__(settings, map_settings, seed, area_m)
         self.peer_goals: list[FloatArray] = []
+        self.cycle = Cycle()
         self._refusals = Refusals()
 
     def explore(self, now_s: float, point: FloatArray, current: Plan | None) -> Plan:
@@ -38,6 +40,7 @@ class Explorer(Navigator):
         `current` is the plan being followed: it is kept unless another one is clearly better.
         """
         assert self.graph is not None
+        self.cycle = Cycle(self.cycle.number + 1)
         seeds = current.path if current is not None else None
         self.local = self.body.graph(self.map, point, self._rng, seeds)
         self.observe(point)
@@ -49,16 +52,29 @@ class Explorer(Navigator):
         best = self._best(plans)
         kept = self._keep(point, current)
         if kept is not None and kept.score * self.settings.planner.switch_gain >= best.score:
-            return kept
+            self.cycle.candidates.append(Candidate(kept))
+            return self._chosen(kept, "keeps the plan under way")
         if len(best.path) == 0:
             best = self._best(self._far(now_s, point))
         if len(best.path):
             self._refusals.attempt(now_s, best.goal)
-        return best
+        return self._chosen(
+            best, "best score" if len(best.path) else "nothing worth its time within the budget"
+        )
 
     def _best(self, plans: list[Plan]) -> Plan:
-        affordable = [plan for plan in plans if self.affordable(plan)]
+        considered = [Candidate(plan, LOWER if self.affordable(plan) else TOO_LATE) for plan in plans]
+        self.cycle.candidates += considered
+        affordable = [candidate.plan for candidate in considered if candidate.verdict == LOWER]
         return max(affordable, key=lambda plan: plan.score, default=NOTHING)
+
+    def _chosen(self, plan: Plan, reason: str) -> Plan:
+        """Note in the cycle's record what was chosen and why."""
+        self.cycle.choice, self.cycle.reason = plan, reason
+        for candidate in self.cycle.candidates:
+            if candidate.plan is plan:
+                candidate.verdict = CHOSEN
+        return plan
 
     def _far(self, now_s: float, point: FloatArray) -> list[Plan]:
         """Plans in a wider window: what lies behind space that a peer has seen is in no graph of ours."""

@@ -216,6 +216,7 @@ class RobotCore:
         self._idle = 0 if len(plan.path) else self._idle + 1
         self.role.planned(now_s, self.phase, pose, plan)
         self._log("plan", **described(plan))
+        self._log("cycle", **self.explorer.cycle.described())
         return plan
 
     def _plan_return(self, pose: Pose) -> Plan | None:

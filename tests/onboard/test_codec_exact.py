@@ -106,7 +106,7 @@ def test_decoded_ranges_end_in_decoded_voxels(model: LidarModel) -> None:
     assert np.isinf(cells.ranges[np.isinf(image)]).mean() > 0.9
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(
     st.sampled_from(MODELS),
     st.integers(0, 10_000),

@@ -61,13 +61,13 @@ def test_quadtree_settings_that_nobody_writes_are_refused(settings_byte: int) ->
         decode(with_crc(HEADS[1] + pack_pose(POSE) + bytes([settings_byte]) + bytes(20)))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=200), st.sampled_from(HEADS))
 def test_any_payload_with_a_good_frame(payload: bytes, head: bytes) -> None:
     sane(with_crc(head + pack_pose(POSE) + payload))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(st.binary(max_size=300))
 def test_any_bytes_at_all(data: bytes) -> None:
     assert not sane(data)

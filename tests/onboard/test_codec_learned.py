@@ -72,7 +72,7 @@ def test_symbols_return_and_cost_their_information() -> None:
     assert needed < spent < 1.01 * needed + 20 * 16
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.integers(0, 10_000), st.integers(1, 40))
 def test_any_symbols_return(seed: int, count: int) -> None:
     code = some_code(count, seed)
@@ -81,7 +81,7 @@ def test_any_symbols_return(seed: int, count: int) -> None:
     assert np.array_equal(decode_symbols(encode_symbols(symbols, code), code), symbols)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.binary(max_size=60))
 def test_any_bytes_decode_or_are_refused(data: bytes) -> None:
     code = some_code(12)

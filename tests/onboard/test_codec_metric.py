@@ -162,7 +162,7 @@ def test_a_diagonal_neighbour_counts_for_f1_and_not_for_knn6():
 indices = st.lists(st.tuples(*[st.integers(-4, 4)] * 3), max_size=40, unique=True)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(indices, indices, st.integers(0, 40), st.integers(0, 40))
 def test_agrees_with_the_comparison_of_voxel_maps(first, second, cut_a, cut_b):
     """onboard.mapping.compare counts the same by sorted keys."""

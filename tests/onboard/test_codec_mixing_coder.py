@@ -86,7 +86,7 @@ def test_stretch_is_the_rounded_inverse() -> None:
         assert abs(clipped - int(STRETCH[i])) <= Decimal("0.5"), i
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(st.lists(st.tuples(st.integers(0, 3), st.integers(0, 7), st.integers(0, 1)), max_size=200))
 def test_round_trip(events: list[Event]) -> None:
     bits, coder = read(write(events), events)

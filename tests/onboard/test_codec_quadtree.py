@@ -129,7 +129,7 @@ def test_the_largest_possible_jump_between_neighbours_round_trips():
     assert decode_quadtree(encode_quadtree(ranges, VLP_16, POSE), VLP_16).shape == ranges.shape
 
 
-@settings(deadline=None, max_examples=25)
+@settings(max_examples=25)
 @given(st.integers(0, 2**32 - 1), st.floats(0.5, 30), st.sampled_from([0.5, 4.0, 40.0]))
 def test_any_image_round_trips(seed, scale, quality):
     rng = np.random.default_rng(seed)
@@ -141,7 +141,7 @@ def test_any_image_round_trips(seed, scale, quality):
     assert (decoded > 0).all()
 
 
-@settings(deadline=None, max_examples=60)
+@settings(max_examples=60)
 @given(st.binary(max_size=300), st.sampled_from([OS0_64, VLP_16]))
 def test_garbage_is_refused_or_decodes(data, model):
     try:

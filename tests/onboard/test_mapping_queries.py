@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.core.geometry import Pose
@@ -154,13 +154,11 @@ def test_indices_are_sorted():
 
 
 @given(st.integers(-(2**63), 2**63 - 1))
-@settings(deadline=None)
 def test_population_counts_bits(word):
     assert population(word) == (word & (2**64 - 1)).bit_count()
 
 
 @given(st.tuples(*[st.integers(-3, 7)] * 2), st.tuples(*[st.integers(0, 10)] * 2))
-@settings(deadline=None)
 def test_rectangle_bits(low, size):
     high = low[0] + size[0], low[1] + size[1]
     if high[0] < 0 or high[1] < 0:
@@ -168,3 +166,19 @@ def test_rectangle_bits(low, size):
     bits = rectangle_bits(low[0], high[0], low[1], high[1]) & (2**64 - 1)
     inside = (low[0] <= x <= high[0] and low[1] <= y <= high[1] for y in range(8) for x in range(8))
     assert [bool(bits >> bit & 1) for bit in range(64)] == list(inside)
+
+
+def test_changed_blocks_are_told_once():
+    voxel_map = VoxelMap()
+    voxel_map.assume_free([0.1] * 3, [1.5] * 3)
+    before = voxel_map.version
+    assert voxel_map.changed_since(0).size == 1
+    assert voxel_map.changed_since(before).size == 0
+    wall = np.array([[6.0, y, 0.3] for y in np.arange(-1, 1, 0.1)], np.float32)
+    voxel_map.integrate(wall, np.eye(4))
+    first = set(voxel_map.changed_since(before).tolist())
+    assert len(first) >= 4
+    again = voxel_map.version
+    voxel_map.integrate(wall, np.eye(4))
+    assert voxel_map.version == again + 1
+    assert voxel_map.changed_since(again).size == 0

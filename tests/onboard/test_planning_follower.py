@@ -166,7 +166,7 @@ def distance_to(path: np.ndarray, point: np.ndarray) -> float:
     return float(np.linalg.norm(starts + along[:, None] * legs - point, axis=1).min())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=40)
 @given(st.sampled_from(sorted(ROBOTS)), steps)
 def test_a_robot_with_lag_reaches_the_end_and_stays_near_the_path(kind, steps):
     path = walk_of(steps, climb=kind == "aerial")

@@ -60,7 +60,7 @@ def built(nodes: int, edges: list[tuple[int, int]], seed: int) -> tuple[GlobalGr
     return graph, expected
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(graphs)
 def test_distances_are_those_of_all_pairs_shortest_paths(parts):
     graph, expected = built(*parts)
@@ -68,7 +68,7 @@ def test_distances_are_those_of_all_pairs_shortest_paths(parts):
         assert graph.distances(source) == pytest.approx(expected[source])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(graphs)
 def test_routes_are_as_long_as_the_distance_and_empty_where_there_is_none(parts):
     graph, expected = built(*parts)

@@ -174,6 +174,15 @@ def test_one_planning_or_mapping_step_is_timed_per_call(alone):
     assert all(time_ms >= 0 for kind in times for time_ms in times[kind])
 
 
+def test_every_planning_cycle_leaves_a_record_of_what_it_weighed(alone):
+    cycles = [fields for _, kind, fields in alone[1] if kind == "cycle"]
+    assert [fields["cycle"] for fields in cycles] == list(range(1, len(cycles) + 1))
+    chosen = [[c for c in fields["candidates"] if c["verdict"] == "chosen"] for fields in cycles]
+    assert all(len(one) <= 1 for one in chosen)
+    assert any(one and one[0]["gain_m3"] > 1 for one in chosen)
+    assert all(fields["reason"] for fields in cycles)
+
+
 def fresh(name: str) -> tuple[RobotCore, Pose]:
     """A core that has not made a step yet."""
     config = both_robots()

@@ -77,14 +77,14 @@ messages = st.one_of(
 )
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(messages, u8, u8)
 def test_round_trip_of_every_kind(message: Message, sender: int, target: int) -> None:
     assert unpack(pack(message, sender, target)) == (sender, target, message)
     assert kind_name(message) in KINDS
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(messages, st.data())
 def test_cut_or_flipped_frames_are_refused(message: Message, data: st.DataObject) -> None:
     frame = pack(message, 1, 2)
@@ -97,7 +97,7 @@ def test_cut_or_flipped_frames_are_refused(message: Message, data: st.DataObject
         unpack(bytes(broken))
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.integers(0, 12), st.binary(max_size=80))
 def test_hostile_bodies_with_a_good_checksum_decode_or_are_refused(kind: int, body: bytes) -> None:
     head = bytes([1, kind, 3, 4]) + body

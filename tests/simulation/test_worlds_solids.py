@@ -61,7 +61,7 @@ BOX = st.tuples(SPAN, SPAN, SPAN, st.booleans()).map(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(BOX, min_size=1, max_size=6))
 def test_volume_and_area_are_those_of_the_painted_cells(boxes: list[Box]) -> None:
     cells = np.zeros((9, 9, 9), dtype=bool)
@@ -93,7 +93,7 @@ def test_building_walls_are_thick() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_boulders_are_closed_and_face_outwards(seed: int) -> None:
     centre = np.array([3.0, -2.0, 1.0])
     solid = solid_of(boulder(np.random.default_rng(seed), centre, 0.8))
@@ -159,7 +159,7 @@ def test_sample_interpolates_in_plan() -> None:
 
 
 @given(st.integers(0, 10_000), st.integers(0, 4))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_network_joins_all_nodes(seed: int, loops: int) -> None:
     points = scattered(np.random.default_rng(seed), np.empty((0, 2)), 11, np.zeros(2), np.array([80.0, 60.0]))
     edges = network(points, loops, 1000.0)
@@ -176,7 +176,7 @@ def test_scattered_keeps_given_points_first_and_distance() -> None:
 
 
 @given(st.integers(0, 10_000))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_thinned_graphs_stay_joined(seed: int) -> None:
     lattice = [(k, k + 1) for k in range(15) if (k + 1) % 4] + [(k, k + 4) for k in range(12)]
     kept = thinned(np.random.default_rng(seed), range(16), lattice, 0.25)
@@ -185,7 +185,7 @@ def test_thinned_graphs_stay_joined(seed: int) -> None:
 
 
 @given(st.integers(0, 10_000), st.floats(4.0, 20.0))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_cuts_fill_the_gap_with_usable_rooms(seed: int, width: float) -> None:
     end = round(10 + round(width / 0.2) * 0.2, 1)
     rooms = cuts(np.random.default_rng(seed), 10.0, end)
