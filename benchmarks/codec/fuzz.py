@@ -1,7 +1,8 @@
 """Damaged keyframes against the decoder: `python -m benchmarks.codec.fuzz --count 100000`.
 
-Every stream must be refused with CodecError or decode to ranges that a map may use, within the time and the
-memory that are asked for. A stream that hangs ends the program with a traceback.
+Stream n follows from seed and n alone: `--start` goes on where a run ended, or shares the streams out. Every
+stream must be refused with CodecError or decode to ranges that a map may use, within the time and the memory
+that are asked for. A stream that hangs ends the program with a traceback.
 """
 
 from __future__ import annotations
@@ -12,11 +13,12 @@ import resource
 import struct
 import sys
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from rich.console import Console
+from rich.status import Status
 
 from onboard.codec import Keyframe, decode, encode
 from onboard.codec.crc import crc32c
@@ -28,6 +30,9 @@ HANG_S = 60.0
 CODECS = ("quadtree", "exact")
 _BUDGETS = (90, 300, 900)
 _REFUSAL_SHARE = 0.2
+REPORT_S = 30.0
+"""Between two lines of progress where the output is no terminal."""
+_REDRAW_S = 0.5
 console = Console(stderr=True)
 
 
@@ -40,18 +45,25 @@ class Outcome:
     slowest_ms: float = 0.0
     memory_mb: float = 0.0
 
+    def __str__(self) -> str:
+        return (
+            f"{self.refused} refused, {self.decoded} decoded, slowest {self.slowest_ms:.0f} ms, "
+            f"{self.memory_mb:.0f} MB more than sound keyframes take"
+        )
+
 
 class Fuzzer:
     """Sound keyframes of both LiDARs and the classical codecs, and streams made from them."""
 
     def __init__(self, seed: int, codecs: Sequence[str] = CODECS) -> None:
+        self._seed = seed
         self._rng = np.random.default_rng(seed)
         self._codecs = codecs
         self._held: dict[int, Keyframe] = {}
         self._bodies = [body for model in MODELS.values() for body in self._sound(model)]
 
     def _sound(self, model: LidarModel) -> list[bytes]:
-        scans = [made_up_scan(model, number) for number in range(2)]
+        scans = [made_up_scan(model, number) for number in range(2)] + [blind_scan(model, 2)]
         pose = Pose.from_rpy(np.array([12.345, -6.789, 1.5]), 0.1, -0.2, 2.5)
         frames = [encode(scan, pose, codec="quadtree", budget_bytes=b) for scan in scans for b in _BUDGETS]
         if "exact" in self._codecs:
@@ -61,8 +73,9 @@ class Fuzzer:
             frames += exact + [encode(scan, pose, codec="exact", references=known) for scan in scans]
         return [frame[:-4] for frame in frames]
 
-    def stream(self) -> bytes:
-        """A damaged keyframe; in four of five cases with a checksum that fits."""
+    def stream(self, number: int) -> bytes:
+        """Damaged keyframe `number`; in four of five cases with a checksum that fits."""
+        self._rng = np.random.default_rng([self._seed, number])
         body = self._damaged()
         if self._rng.random() < _REFUSAL_SHARE:
             return body + self._rng.bytes(4)
@@ -114,21 +127,56 @@ def made_up_scan(model: LidarModel, seed: int) -> Scan:
     return Scan(0.0, ranges.astype(np.float32), model)
 
 
-def attack(count: int, seed: int, codecs: Sequence[str] = CODECS) -> Outcome:
-    """Decode `count` damaged streams."""
+def blind_scan(model: LidarModel, seed: int) -> Scan:
+    """`made_up_scan` of which a sector and every third row are not seen."""
+    ranges = made_up_scan(model, seed).ranges.copy()
+    ranges[:, model.columns // 4 : model.columns // 2] = 0
+    ranges[::3] = 0
+    return Scan(0.0, ranges, model)
+
+
+def attack(
+    count: int,
+    seed: int,
+    codecs: Sequence[str] = CODECS,
+    start: int = 0,
+    report: Callable[[int, Outcome], None] = lambda _number, _outcome: None,
+) -> Outcome:
+    """Decode the damaged streams start .. start + count - 1; `report` is told the next one after each."""
     fuzzer, outcome = Fuzzer(seed, codecs), Outcome()
     before_mb = peak_memory_mb()
-    for _ in range(count):
-        data = fuzzer.stream()
+    for number in range(start, start + count):
+        data = fuzzer.stream(number)
         faulthandler.dump_traceback_later(HANG_S, exit=True)
         begun = time.perf_counter()
         survived = fuzzer.survives(data)
         outcome.slowest_ms = max(outcome.slowest_ms, 1e3 * (time.perf_counter() - begun))
         outcome.decoded += survived
         outcome.refused += not survived
+        outcome.memory_mb = peak_memory_mb() - before_mb
+        report(number + 1, outcome)
     faulthandler.cancel_dump_traceback_later()
-    outcome.memory_mb = peak_memory_mb() - before_mb
     return outcome
+
+
+class Reporter:
+    """Tells how far the attack is: in place on a terminal, else in lines."""
+
+    def __init__(self, end: int, status: Status) -> None:
+        self._end = end
+        self._status = status
+        self._told = time.monotonic()
+
+    def __call__(self, number: int, outcome: Outcome) -> None:
+        now = time.monotonic()
+        if now - self._told < (_REDRAW_S if console.is_terminal else REPORT_S):
+            return
+        self._told = now
+        text = f"stream {number} of {self._end}: {outcome}"
+        if console.is_terminal:
+            self._status.update(text)
+        else:
+            console.print(text, highlight=False, soft_wrap=True)
 
 
 def peak_memory_mb() -> float:
@@ -140,15 +188,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """0 where every stream kept the limits."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.codec.fuzz", description=__doc__)
     parser.add_argument("--count", type=int, default=100_000, help="damaged streams")
+    parser.add_argument("--start", type=int, default=0, help="number of the first stream")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--limit-ms", type=float, default=2000.0, help="time that one stream may take")
-    parser.add_argument("--limit-mb", type=float, default=200.0, help="memory beyond that of sound keyframes")
+    parser.add_argument("--limit-mb", type=float, default=16.0, help="memory beyond that of sound keyframes")
     options = parser.parse_args(arguments)
-    outcome = attack(options.count, options.seed)
-    console.print(
-        f"{outcome.refused} refused, {outcome.decoded} decoded, slowest {outcome.slowest_ms:.0f} ms, "
-        f"{outcome.memory_mb:.0f} MB more than sound keyframes take"
-    )
+    with console.status("encoding sound keyframes") as status:
+        reporter = Reporter(options.start + options.count, status)
+        outcome = attack(options.count, options.seed, start=options.start, report=reporter)
+    console.print(str(outcome), highlight=False, soft_wrap=True)
     return int(outcome.slowest_ms > options.limit_ms or outcome.memory_mb > options.limit_mb)
 
 

@@ -35,19 +35,35 @@ def vector_scan(model: LidarModel) -> Scan:
     return Scan(0.0, ranges.astype(np.float32), model)
 
 
+def blind_scan(model: LidarModel) -> Scan:
+    """`vector_scan` of which the second quarter of the columns and every fourth row are unknown."""
+    ranges = vector_scan(model).ranges.copy()
+    ranges[:, model.columns // 4 : model.columns // 2] = 0
+    ranges[3::4] = 0
+    return Scan(0.0, ranges, model)
+
+
 def vectors() -> list[bytes]:
-    """Keyframes of `vector_scan`: quadtree of both LiDARs, one cut short, exact, exact with it known."""
+    """Keyframes of `vector_scan`: quadtree of both LiDARs, one cut short, exact, exact with it known.
+
+    Then of `blind_scan`: quadtree, cut short, exact, exact with the other exact one known.
+    """
     quadtree = [
         encode(vector_scan(model), POSE, codec="quadtree", budget_bytes=budget)
         for model, budget in ((OS0_64, 120), (VLP_16, 100))
     ]
     exact = encode(vector_scan(VLP_16), POSE, codec="exact")
     known = [(SEQUENCE, decode(exact))]
+    blind = encode(blind_scan(OS0_64), POSE, codec="quadtree", budget_bytes=160)
     return [
         *quadtree,
         truncate(quadtree[0], 60),
         exact,
         encode(vector_scan(VLP_16), POSE, codec="exact", references=known),
+        blind,
+        truncate(blind, 110),
+        encode(blind_scan(VLP_16), POSE, codec="exact"),
+        encode(blind_scan(VLP_16), POSE, codec="exact", references=known),
     ]
 
 

@@ -8,8 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.codec.container import EXACT, EXACT_REFERENCED, LEARNED, QUADTREE
-from onboard.codec.exact import ExactCells, decode_exact, encode_exact
+from onboard.codec.container import (
+    EXACT,
+    EXACT_MASKED,
+    EXACT_REFERENCED,
+    EXACT_REFERENCED_MASKED,
+    LEARNED,
+    MASKED,
+    QUADTREE,
+)
+from onboard.codec.exact import ExactCells, decode_exact, encode_exact, mask_for
 from onboard.codec.learned import decode_learned, encode_learned
 from onboard.codec.quadtree import decode_quadtree, encode_quadtree
 from onboard.codec.voxels import Cells
@@ -21,7 +29,8 @@ Ranges = NDArray[np.float32]
 Voxels = tuple[Cells, Cells]
 """Occupied (N, 3) and free (M, 3) voxels of 0.2 m in the map frame."""
 
-NAMES = {QUADTREE: "quadtree", EXACT: "exact", EXACT_REFERENCED: "exact", LEARNED: "learned"}
+_EXACT = (EXACT, EXACT_REFERENCED, EXACT_MASKED, EXACT_REFERENCED_MASKED)
+NAMES = {QUADTREE: "quadtree", LEARNED: "learned"} | dict.fromkeys(_EXACT, "exact")
 
 
 class Task(NamedTuple):
@@ -54,15 +63,18 @@ def union(voxels: Sequence[Voxels]) -> Voxels:
     return np.concatenate(occupied), np.concatenate(free)
 
 
-def encode_payload(codec: int, task: Task) -> bytes:
-    """Payload of `task` by the codec of this number. Raises InputError if there is none or none fits."""
-    payload = _ENCODERS[codec](task)
+def encode_payload(codec: int, task: Task) -> tuple[int, bytes]:
+    """Codec number and payload of `task` by QUADTREE, EXACT or LEARNED; of EXACT it is the variant in use.
+
+    Raises InputError if there is none or none fits.
+    """
+    number, payload = _ENCODERS[codec](task)
     if task.room_bytes is not None and len(payload) > task.room_bytes:
         raise InputError(
             f"the {NAMES[codec]} payload takes {len(payload)} bytes, the budget leaves {task.room_bytes}: "
             "use codec 'quadtree' or 'auto', or a larger budget"
         )
-    return payload
+    return number, payload
 
 
 def decode_payload(
@@ -74,29 +86,33 @@ def decode_payload(
             return Content(decode_quadtree(payload, model), None)
         if codec == LEARNED:
             return Content(decode_learned(payload, model), None)
-        cells = decode_exact(payload, model, pose, known)
+        cells = decode_exact(payload, model, pose, known, masked=codec in MASKED)
     except InputError as error:  # no learned model or no priors here: this receiver cannot read it
         raise CodecError(f"keyframe: {error}") from error
     return Content(cells.ranges, cells)
 
 
-def _quadtree(task: Task) -> bytes:
+def _quadtree(task: Task) -> tuple[int, bytes]:
     if task.quality is not None:
-        return encode_quadtree(task.ranges, task.model, task.pose, quality=task.quality)
-    return encode_quadtree(task.ranges, task.model, task.pose, budget_bytes=task.room_bytes)
+        return QUADTREE, encode_quadtree(task.ranges, task.model, task.pose, quality=task.quality)
+    return QUADTREE, encode_quadtree(task.ranges, task.model, task.pose, budget_bytes=task.room_bytes)
 
 
-def _exact(task: Task) -> bytes:
-    return encode_exact(task.ranges, task.model, task.pose, task.known)
+def _exact(task: Task) -> tuple[int, bytes]:
+    mask = mask_for(task.ranges, task.model, task.pose)
+    plain, masked = (
+        (EXACT, EXACT_MASKED) if task.known is None else (EXACT_REFERENCED, EXACT_REFERENCED_MASKED)
+    )
+    number = plain if mask is None else masked
+    return number, encode_exact(task.ranges, task.model, task.pose, task.known, mask)
 
 
-def _learned(task: Task) -> bytes:
-    return encode_learned(task.ranges, task.model)
+def _learned(task: Task) -> tuple[int, bytes]:
+    return LEARNED, encode_learned(task.ranges, task.model)
 
 
-_ENCODERS: dict[int, Callable[[Task], bytes]] = {
+_ENCODERS: dict[int, Callable[[Task], tuple[int, bytes]]] = {
     QUADTREE: _quadtree,
     EXACT: _exact,
-    EXACT_REFERENCED: _exact,
     LEARNED: _learned,
 }

@@ -12,7 +12,8 @@ from onboard.core.errors import CodecError, InputError
 from onboard.core.lidar import LidarModel, lidar_model_by_code
 
 VERSION = 2
-QUADTREE, EXACT, EXACT_REFERENCED, LEARNED = 1, 2, 3, 4
+QUADTREE, EXACT, EXACT_REFERENCED, LEARNED, EXACT_MASKED, EXACT_REFERENCED_MASKED = range(1, 7)
+REFERENCED, MASKED = (EXACT_REFERENCED, EXACT_REFERENCED_MASKED), (EXACT_MASKED, EXACT_REFERENCED_MASKED)
 MAX_BYTES = 60_000
 """No keyframe is longer (with its frame it fits one UDP datagram): checked before anything is allocated."""
 MAX_REFERENCES = 16
@@ -57,7 +58,7 @@ def unpack(data: bytes) -> Container:
         raise CodecError("keyframe: checksum does not match")
     codec, model = _parse_head(body[0])
     start = 1 + POSE_BYTES
-    references = _parse_references(body[start:]) if codec == EXACT_REFERENCED else ()
+    references = _parse_references(body[start:]) if codec in REFERENCED else ()
     payload = body[start + references_bytes(references) :]
     if not payload:
         raise CodecError("keyframe: no payload")
@@ -68,7 +69,7 @@ def _parse_head(head: int) -> tuple[int, LidarModel]:
     version, codec = head >> 5, head >> 2 & 7
     if version != VERSION:
         raise CodecError(f"keyframe: version {version}, expected {VERSION}")
-    if codec not in (QUADTREE, EXACT, EXACT_REFERENCED, LEARNED):
+    if not QUADTREE <= codec <= EXACT_REFERENCED_MASKED:
         raise CodecError(f"keyframe: unknown codec {codec}")
     try:
         return codec, lidar_model_by_code(head & 3)
@@ -78,7 +79,7 @@ def _parse_head(head: int) -> tuple[int, LidarModel]:
 
 def _pack_references(container: Container) -> bytes:
     numbers = container.references
-    if container.codec != EXACT_REFERENCED:
+    if container.codec not in REFERENCED:
         return b""
     if not 1 <= len(numbers) <= MAX_REFERENCES or not _rise(numbers) or numbers[-1] > _MAX_SEQUENCE:
         raise InputError(

@@ -13,12 +13,12 @@ from onboard.codec.choice import choose
 from onboard.codec.codecs import NAMES, Ranges, Task, Voxels, decode_payload, encode_payload, union
 from onboard.codec.container import (
     EXACT,
-    EXACT_REFERENCED,
     LEARNED,
     MAX_BYTES,
     MIN_BYTES,
     OVERHEAD_BYTES,
     QUADTREE,
+    REFERENCED,
     Container,
     pack,
     references_bytes,
@@ -97,7 +97,7 @@ def encode(
         union([_known(number, keyframe) for number, keyframe in references]) if sequences else None,
     )
     number, payload = _choose(codec, task)
-    used = sequences if number == EXACT_REFERENCED else ()
+    used = sequences if number in REFERENCED else ()
     return pack(Container(number, model, packed_pose, payload, used))
 
 
@@ -132,10 +132,7 @@ def _choose(codec: str, task: Task) -> tuple[int, bytes]:
         return choose(task)
     if codec not in _BY_NAME:
         raise InputError(f"codec = '{codec}': choose one of auto, {', '.join(_BY_NAME)}")
-    number = _BY_NAME[codec]
-    if number == EXACT and task.known is not None:
-        number = EXACT_REFERENCED
-    return number, encode_payload(number, task)
+    return encode_payload(_BY_NAME[codec], task)
 
 
 def _checked_ranges(scan: Scan, model: LidarModel) -> Ranges:

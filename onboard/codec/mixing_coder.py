@@ -50,6 +50,7 @@ __all__ = [
     "finished_cleanly",
     "new_reader",
     "new_writer",
+    "with_priors",
 ]
 
 _MODEL_BITS = 32 - COUNT_BITS
@@ -112,6 +113,11 @@ def _coder(state: NDArray[np.int64], buffer: NDArray[np.uint8], priors: Priors) 
     )
 
 
+def with_priors(coder: MixingCoder, priors: Priors) -> MixingCoder:
+    """A coder that goes on in the stream of `coder`, with models of its own that start from `priors`."""
+    return _coder(coder.state, coder.buffer, priors)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
 def code_mixed(coder: MixingCoder, weight_set: int, bit: int) -> int:
     """Write `bit`, or read one (then `bit` is ignored), in the contexts `coder.slots`; returns the bit."""
@@ -160,34 +166,37 @@ def code_mixed_arrays(
 
     `second` NO_SET: no other weight set.
     """
-    count = slots.size
-    total = np.int64(weights[first, count]) << _BIAS_SHIFT
-    if second >= 0:
-        total += np.int64(weights[second, count]) << _BIAS_SHIFT
+    # Unsigned indices and rows taken once: no test for negative ones, no product for each element.
+    count = np.uint64(slots.size)
+    row, other = np.uint64(first), np.uint64(max(second, 0))
+    two = second >= 0
+    total = np.int64(weights[row, count]) << _BIAS_SHIFT
+    if two:
+        total += np.int64(weights[other, count]) << _BIAS_SHIFT
     for i in range(count):
-        stretched = np.int64(STRETCH[models[bases[i] + slots[i]] >> _TO_STRETCH])
+        stretched = np.int64(STRETCH[models[np.uint64(bases[i] + slots[i])] >> _TO_STRETCH])
         inputs[i] = stretched
-        weight = np.int64(weights[first, i])
-        if second >= 0:
-            weight += np.int64(weights[second, i])
+        weight = np.int64(weights[row, i])
+        if two:
+            weight += np.int64(weights[other, i])
         total += weight * stretched
     log_odds = min(max(int(total >> _WEIGHT_BITS), -STRETCH_LIMIT), STRETCH_LIMIT)
-    probability = np.int64(SQUASH[log_odds + STRETCH_LIMIT])
+    probability = np.int64(SQUASH[np.uint64(log_odds + STRETCH_LIMIT)])
     bit = code_split(state, buffer, _ONE - probability, bit)
 
     error = (bit << PROBABILITY_BITS) - probability
     half = np.int64(1) << (learning_shift - 1)
     for i in range(count):
-        place = bases[i] + slots[i]
+        place = np.uint64(bases[i] + slots[i])
         models[place] = _learned(models[place], bit, limit)
         change = (error * inputs[i] + half) >> learning_shift
-        weights[first, i] += change
-        if second >= 0:
-            weights[second, i] += change
+        weights[row, i] += change
+        if two:
+            weights[other, i] += change
     change = ((error << _BIAS_SHIFT) + half) >> learning_shift
-    weights[first, count] += change
-    if second >= 0:
-        weights[second, count] += change
+    weights[row, count] += change
+    if two:
+        weights[other, count] += change
     return bit
 
 
@@ -214,7 +223,7 @@ def _learned(model: np.uint32, bit: int, limit: int) -> np.uint32:
     seen = value & _COUNT_MASK
     estimate = value >> COUNT_BITS
     target = (1 << _MODEL_BITS) - 1 if bit else 0
-    estimate += ((target - estimate) * _RATES[seen]) >> PROBABILITY_BITS
+    estimate += ((target - estimate) * _RATES[np.uint64(seen)]) >> PROBABILITY_BITS
     return np.uint32(estimate << COUNT_BITS | (seen + 1 if seen < limit else seen))
 
 

@@ -23,9 +23,22 @@ def test_a_few_thousand_streams_are_refused_or_sound(codecs: tuple[str, ...], co
 
 def test_streams_differ_and_follow_from_the_seed() -> None:
     one, two = fuzz.Fuzzer(1), fuzz.Fuzzer(1)
-    streams = [one.stream() for _ in range(20)]
-    assert streams == [two.stream() for _ in range(20)]
+    streams = [one.stream(number) for number in range(20)]
+    assert streams[5:] == [two.stream(number) for number in range(5, 20)]
     assert len(set(streams)) == 20
+
+
+def test_a_run_can_be_split_and_tells_how_far_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
+    told: list[int] = []
+    first = fuzz.attack(15, 3, ("quadtree",), report=lambda number, _: told.append(number))
+    second = fuzz.attack(15, 3, ("quadtree",), start=15, report=lambda number, _: told.append(number))
+    whole = fuzz.attack(30, 3, ("quadtree",))
+    assert first.refused + second.refused == whole.refused
+    assert told == list(range(1, 31))
+    monkeypatch.setattr(fuzz, "REPORT_S", 0.0)
+    with fuzz.console.capture() as captured, fuzz.console.status("") as status:
+        fuzz.Reporter(30, status)(7, whole)
+    assert f"stream 7 of 30: {whole.refused} refused" in captured.get()
 
 
 def test_sound_keyframes_survive() -> None:
@@ -55,4 +68,4 @@ def test_other_errors_are_not_swallowed(monkeypatch: pytest.MonkeyPatch) -> None
 
 @pytest.mark.parametrize(("limit", "code"), [("1e9", 0), ("0", 1)])
 def test_the_exit_code_tells(limit: str, code: int) -> None:
-    assert fuzz.main(["--count", "20", "--limit-ms", limit, "--limit-mb", "1e9"]) == code
+    assert fuzz.main(["--count", "20", "--limit-ms", limit, "--limit-mb", "1e9", "--start", "7"]) == code

@@ -6,15 +6,19 @@ import pytest
 
 from benchmarks.codec import vectors
 from onboard.codec import decode
+from onboard.codec.container import unpack
 from onboard.codec.quadtree.lattice import LAYOUTS
 from onboard.codec.quadtree.symbols import CUTS, KINDS, SIZES, WEIGHT_SETS
 
 DOCUMENTED = vectors.documented(vectors.DOCUMENT.read_text())
-COUNT = 5
+COUNT = 9
 
 
 def test_every_codec_has_a_vector() -> None:
-    assert [fact["codec"] for fact, _ in DOCUMENTED] == ["quadtree", "quadtree", "quadtree", "exact", "exact"]
+    plain, masked = ["quadtree"] * 3 + ["exact"] * 2, ["quadtree"] * 2 + ["exact"] * 2
+    assert [fact["codec"] for fact, _ in DOCUMENTED] == plain + masked
+    assert [unpack(frame).codec for _, frame in DOCUMENTED] == [1, 1, 1, 2, 3, 1, 1, 5, 6]
+    assert [unpack(frame).payload[0] & 32 for _, frame in DOCUMENTED[5:7]] == [32, 32]
 
 
 @pytest.mark.parametrize("number", range(COUNT))

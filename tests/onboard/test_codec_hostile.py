@@ -14,7 +14,7 @@ from onboard.core.errors import CodecError
 from onboard.core.lidar import MODELS, VLP_16, LidarModel
 
 CODECS = ("quadtree", "exact")
-HEADS = [bytes([2 << 5 | codec << 2 | sensor]) for codec in (1, 2, 3, 4) for sensor in (1, 2)]
+HEADS = [bytes([2 << 5 | codec << 2 | sensor]) for codec in range(1, 7) for sensor in (1, 2)]
 
 
 def sane(data: bytes) -> bool:
@@ -55,7 +55,7 @@ def test_streams_that_end_early_or_late_are_refused_even_with_a_good_checksum(co
             decode(with_crc(broken))
 
 
-@pytest.mark.parametrize("settings_byte", [3, 7, 32, 64, 128, 255])
+@pytest.mark.parametrize("settings_byte", [3, 7, 35, 64, 128, 255])
 def test_quadtree_settings_that_nobody_writes_are_refused(settings_byte: int) -> None:
     with pytest.raises(CodecError):
         decode(with_crc(HEADS[1] + pack_pose(POSE) + bytes([settings_byte]) + bytes(20)))

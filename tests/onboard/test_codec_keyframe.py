@@ -7,7 +7,7 @@ import pytest
 from keyframe_scenes import POSE, flat, room, with_crc
 
 from onboard.codec import Keyframe, decode, encode, truncate
-from onboard.codec.choice import score
+from onboard.codec.choice import BLIND_QUALITY, score
 from onboard.codec.codecs import NAMES, Task, encode_payload, union
 from onboard.codec.container import EXACT, MAX_BYTES, OVERHEAD_BYTES, QUADTREE, unpack
 from onboard.codec.metric import compare
@@ -82,17 +82,18 @@ def test_exact_keyframes_hold_their_own_voxels(model: LidarModel) -> None:
 
 
 @pytest.mark.parametrize("model", [VLP_16, OS0_64])
-def test_auto_does_not_invent_surfaces_in_a_blind_sector(model: LidarModel) -> None:
+def test_auto_says_nothing_of_a_blind_sector_and_is_finer_there(model: LidarModel) -> None:
     scan = room(model)
     ranges = scan.ranges.copy()
     ranges[:, : model.columns // 2] = 0
     half_blind = Scan(0.0, ranges, model)
-    assert decode(encode(scan, POSE)).codec == "quadtree"
-    keyframe = decode(encode(half_blind, POSE))
-    assert keyframe.codec == "exact"
-    seen = voxelise(ranges, model, keyframe.pose)
-    quadtree = decode(encode(half_blind, POSE, codec="quadtree"))
-    assert compare(seen, keyframe.voxels()).f1 > compare(seen, quadtree.voxels()).f1
+    data = encode(half_blind, POSE)
+    keyframe = decode(data)
+    assert keyframe.codec == "quadtree"
+    assert data == encode(half_blind, POSE, codec="quadtree", quality=BLIND_QUALITY)
+    assert not keyframe.ranges[:, 16 : model.columns // 2 - 16].any()
+    assert f1(half_blind, keyframe) > 0.97
+    assert encode(half_blind, POSE, quality=2.0) == encode(half_blind, POSE, codec="quadtree", quality=2.0)
 
 
 def test_auto_takes_the_codec_whose_map_scores_more(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -107,7 +108,7 @@ def test_the_score_is_f1_less_twice_unsafe26() -> None:
     scan, pose = room(VLP_16), unpack_pose(pack_pose(POSE))
     task = Task(scan.ranges, VLP_16, pose, 80, None, None)
     original = voxelise(scan.ranges, VLP_16, pose)
-    payload = encode_payload(QUADTREE, task)
+    _, payload = encode_payload(QUADTREE, task)
     likeness = compare(original, decode(encode(scan, POSE, budget_bytes=80 + OVERHEAD_BYTES)).voxels())
     assert score(original, QUADTREE, payload, task) == pytest.approx(likeness.f1 - 2 * likeness.unsafe26)
     assert likeness.unsafe26 > 0

@@ -21,7 +21,8 @@ from onboard.codec.quadtree.lattice import (
 from onboard.codec.quadtree.predict import GUESS_MM, guess_new, guess_root, new_guess
 from onboard.codec.quadtree.surface import COLUMNS, FINE_BITS, NEAREST, ROWS, SMOOTH, block_kind, reconstruct
 from onboard.codec.quadtree.symbols import jump_class, signed_class, size_class
-from onboard.codec.quadtree.tolerance import VOXEL_M, tolerances
+from onboard.codec.quadtree.tolerance import tolerances
+from onboard.codec.windows import VOXEL_M
 from onboard.core.errors import InputError
 from onboard.core.lidar import OS0_64, VLP_16
 

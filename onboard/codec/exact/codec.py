@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.codec.blind import Mask, code_mask, read_mask
 from onboard.codec.exact.contexts import KNOWN_SIZES, SIZES, WEIGHT_SETS
 from onboard.codec.exact.grid import (
     FREE,
@@ -76,16 +77,22 @@ class ExactCells:
 
 
 def encode_exact(
-    ranges: NDArray[np.floating], model: LidarModel, pose: Pose, known: KnownCells | None = None
+    ranges: NDArray[np.floating],
+    model: LidarModel,
+    pose: Pose,
+    known: KnownCells | None = None,
+    mask: Mask | None = None,
 ) -> bytes:
     """Payload of a scan seen from `pose` (as quantised), given the voxels that the receiver is known to hold.
+
+    `mask` (mask_for) leaves out rays; the receiver has to be told that there is one.
 
     Raises InputError for ranges that do not fit the model, are negative or NaN, for a pose that is not finite
     and for a scan that does not fit MAX_BYTES.
     """
     _check(ranges, model)
     coder = new_writer(MAX_BYTES, shipped_priors(model.name, known is not None))
-    write_scan(coder, ranges, model, pose, known)
+    write_scan(coder, ranges, model, pose, known, mask)
     data = finish(coder)
     if failed(coder):
         raise InputError(f"the scan does not fit {MAX_BYTES} bytes or is too rough: use another codec")
@@ -98,13 +105,16 @@ def write_scan(
     model: LidarModel,
     pose: Pose,
     known: KnownCells | None,
+    mask: Mask | None = None,
 ) -> None:
     """Code one scan into `coder`; training codes many in a row."""
     rays = cast_rays(model, pose)
     grid = _start_grid(rays, known)
     limits = place_targets(grid, ranges, model, pose)
-    skipping = bool(code_even(coder, int((limits == SKIP).any())))
-    code_rays(coder, _job(rays, model, grid, limits, True, known is not None, skipping, False))
+    if mask is not None:
+        code_mask(coder, mask)
+    skipping = mask is None and bool(code_even(coder, int((limits == SKIP).any())))
+    code_rays(coder, _job(rays, model, grid, limits, mask, True, known is not None, skipping, False))
 
 
 def decode_exact(
@@ -113,9 +123,10 @@ def decode_exact(
     pose: Pose,
     known: KnownCells | None = None,
     *,
+    masked: bool = False,
     complete: bool = True,
 ) -> ExactCells:
-    """Inverse of `encode_exact`, with the same pose and the same known voxels.
+    """Inverse of `encode_exact`, with the same pose and the same known voxels; `masked` if it had a mask.
 
     With `complete` False the payload may be any first part of one: decoded are the rays that it covers, and
     what they say is what the whole payload says. Raises CodecError for bytes that no encoder wrote and
@@ -126,10 +137,10 @@ def decode_exact(
     rays = cast_rays(model, pose)
     grid = _start_grid(rays, known)
     coder = new_reader(payload, shipped_priors(model.name, known is not None))
-    skipping = bool(code_even(coder, 0))
-    job = _job(
-        rays, model, grid, np.zeros(0, dtype=np.int64), False, known is not None, skipping, not complete
-    )
+    mask = read_mask(coder, model.rows, model.columns, complete=complete) if masked else None
+    skipping = mask is None and bool(code_even(coder, 0))
+    limits = np.zeros(0, dtype=np.int64)
+    job = _job(rays, model, grid, limits, mask, False, known is not None, skipping, not complete)
     code_rays(coder, job)
     if failed(coder) or (complete and not finished_cleanly(coder)):
         raise CodecError("exact keyframe: the voxels do not decode")
@@ -148,6 +159,7 @@ def _job(
     model: LidarModel,
     grid: Grid,
     limits: NDArray[np.int64],
+    mask: Mask | None,
     writing: bool,
     known: bool,
     skipping: bool,
@@ -156,8 +168,20 @@ def _job(
     hits = np.full((model.rows, model.columns), NONE, dtype=np.int32)
     steps = coding_steps(model)
     touched = np.full(2, HOME, dtype=np.int64)
+    left_out = np.zeros((0, 0), dtype=np.uint8) if mask is None else mask
     return Job(
-        rays.directions, rays.eye, steps, grid, touched, hits, limits, writing, known, skipping, partial
+        rays.directions,
+        rays.eye,
+        steps,
+        grid,
+        touched,
+        hits,
+        limits,
+        left_out,
+        writing,
+        known,
+        skipping,
+        partial,
     )
 
 

@@ -29,15 +29,7 @@ from onboard.codec.exact.grid import (
     UNDECIDED,
     Grid,
 )
-from onboard.codec.exact.predict import (
-    FAR,
-    HIT_BITS,
-    PREDICTIONS,
-    SIDES,
-    UNIT_BITS,
-    floor_ratio,
-    predict_ray,
-)
+from onboard.codec.exact.predict import FAR, HIT_BITS, PREDICTIONS, SIDES, UNIT_BITS, floor_ratio, predict_ray
 from onboard.codec.exact.rays import DIRECTION_BITS, LENGTH_BITS, POSITION_BITS, REACH
 from onboard.codec.mixing_coder import MixingCoder, code_direct, code_mixed_arrays
 from onboard.codec.range_bytes import FAILED, POSITION, UNCERTAIN
@@ -61,6 +53,7 @@ class Job(NamedTuple):
     """One keyframe: what both sides have, what the encoder wants (`limits`), what comes out (`grid`, `hits`).
 
     `hits` (H, W) int32: where each ray ends in 1/4096 voxel, FAR for nowhere, NONE for a ray not (yet) coded.
+    Rays in `mask` (H, W; (0, 0) for none) are left out.
     `touched` (2,): the lowest and the highest cell decided.
     """
 
@@ -71,6 +64,7 @@ class Job(NamedTuple):
     touched: NDArray[np.int64]
     hits: NDArray[np.int32]
     limits: NDArray[np.int64]
+    mask: NDArray[np.uint8]
     writing: bool
     known: bool
     skipping: bool
@@ -87,6 +81,7 @@ def code_rays(coder: MixingCoder, job: Job) -> int:
     grid, touched, hits, steps, limits = job.grid, job.touched, job.hits, job.steps, job.limits
     directions, eye = job.directions, job.eye
     writing, known, partial, skipping = job.writing, job.known, job.partial, job.skipping
+    mask, masked = job.mask, job.mask.size > 0
     coder_state, buffer, models, weights = coder.state, coder.buffer, coder.models, coder.weights
     bases, slots, inputs = coder.bases, coder.slots, coder.inputs
     adaptation, learning_shift = coder.limit, coder.learning_shift
@@ -101,6 +96,9 @@ def code_rays(coder: MixingCoder, job: Job) -> int:
                 if overrun or decisions > MAX_DECISIONS:
                     coder_state[FAILED] = 1
                     return done
+                if masked and mask[row, column]:
+                    done += 1
+                    continue
                 predict_ray(hits, row, column, steps, s, prediction)
                 ray = row * columns + column
                 limit = limits[ray] if writing else np.int64(0)

@@ -33,9 +33,14 @@ def place_targets(
     table = model.directions.reshape(-1, 3).astype(np.float64)
     directions = np.ascontiguousarray(table @ pose.rotation.T)
     _mark_ends(grid, image.ravel(), directions, eye)
-    limits = np.empty(image.shape, dtype=np.int64)
-    _limit(image, limits)
-    return limits.ravel()
+    return ray_limits(image).ravel()
+
+
+def ray_limits(ranges: NDArray[np.floating]) -> NDArray[np.int64]:
+    """(H, W) how far each ray may run, or SKIP; lost pulses are filled in."""
+    limits = np.empty(ranges.shape, dtype=np.int64)
+    _limit(np.asarray(ranges, dtype=np.float64), limits)
+    return limits
 
 
 @njit(cache=True, nogil=True)

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.codec.blind import Mask, code_mask, mask_bytes, read_mask
 from onboard.codec.mixing_coder import MixingCoder, failed, finish, finished_cleanly, new_reader, new_writer
 from onboard.codec.priors import Priors, load_priors_for
 from onboard.codec.quadtree import costs as costs_of
@@ -23,11 +24,13 @@ from onboard.codec.quadtree.lattice import (
     new_samples,
     new_tree,
 )
+from onboard.codec.quadtree.mask import mask_for
 from onboard.codec.quadtree.predict import Guess, new_guess
 from onboard.codec.quadtree.surface import reconstruct
 from onboard.codec.quadtree.symbols import FINENESS, SIZES, WEIGHT_SETS
-from onboard.codec.quadtree.tolerance import WEIGHT_ONE, Tolerance, tolerances
-from onboard.codec.quadtree.traverse import Stream, code_tree
+from onboard.codec.quadtree.tolerance import Tolerance, tolerances
+from onboard.codec.quadtree.traverse import Stream, code_tree, count_seen
+from onboard.codec.windows import WEIGHT_ONE
 from onboard.core.errors import CodecError, InputError
 from onboard.core.geometry import Pose
 from onboard.core.lidar import LidarModel
@@ -39,7 +42,10 @@ MAX_PAYLOAD = 60_000
 _SEARCHES = 4
 _BUDGET_SHARE = 0.97
 _CUT_SHARE = 1.05
-_CUT_SHORT = 16
+_CUT_SHORT, _MASKED = 16, 32
+_SETTINGS = 63
+_MASK_SHARE = 2
+"""A mask takes at most half of a budget."""
 _FAIR_PRICE, _FAIR_POWER = 600, 0.09
 _AIM = 0.01
 _SURE = 1.12
@@ -65,6 +71,8 @@ class Plan(NamedTuple):
     costs: costs_of.Costs
     scratch: _Scratch
     priors: Priors
+    mask: Mask | None
+    mask_bytes: int
 
 
 @lru_cache
@@ -91,25 +99,33 @@ def encode_quadtree(
     """
     if not QUALITIES[0] <= quality <= QUALITIES[1]:
         raise InputError(f"quality = {quality}: must lie between {QUALITIES[0]} and {QUALITIES[1]}")
-    plan = plan_scan(ranges, model, pose, shipped_priors(model.name))
+    price = price_of(quality)
+    room = MAX_PAYLOAD if budget_bytes is None else budget_bytes // _MASK_SHARE
+    plan = plan_scan(ranges, model, pose, shipped_priors(model.name), price, room)
     if budget_bytes is not None:
         return _encode_within(plan, budget_bytes)
-    price = price_of(quality)
     return _encode_at(plan, price, choose(plan, price))
 
 
 def decode_quadtree(payload: bytes, model: LidarModel) -> NDArray[np.float32]:
     """(H, W) ranges in metres, inf = no return within 20 m. Raises CodecError for what no encoder wrote."""
-    if not payload or payload[0] >= _CUT_SHORT << 1 or payload[0] % 4 >= len(STEPS_MM):
+    if not payload or payload[0] > _SETTINGS or payload[0] % 4 >= len(STEPS_MM):
         raise CodecError("quadtree: settings that no encoder wrote")
     layout = layout_of(model)
     samples, tree = new_samples(model, STEPS_MM[payload[0] % 4]), new_tree(model, layout)
     complete = not payload[0] & _CUT_SHORT
     coder = new_reader(payload[1:], shipped_priors(model.name))
-    _code(coder, samples, tree, _new_scratch(samples), payload[0] >> 2 & 3, True, complete)
+    mask = None
+    if payload[0] & _MASKED:
+        mask = read_mask(coder, model.rows, model.columns, complete=complete)
+    seen = count_seen(mask)
+    _code(coder, samples, tree, _new_scratch(samples), seen, payload[0] >> 2 & 3, True, complete)
     if complete and (failed(coder) or not finished_cleanly(coder)):
         raise CodecError("quadtree: the stream does not decode")
-    return np.asarray(reconstruct(samples, tree, model.rows, model.columns))
+    ranges = np.asarray(reconstruct(samples, tree, model.rows, model.columns))
+    if mask is not None:
+        ranges[mask != 0] = 0
+    return ranges
 
 
 def truncate_quadtree(payload: bytes, max_bytes: int) -> bytes:
@@ -119,12 +135,24 @@ def truncate_quadtree(payload: bytes, max_bytes: int) -> bytes:
     return bytes([payload[0] | _CUT_SHORT]) + payload[1 : max(max_bytes, 1)]
 
 
-def plan_scan(ranges: NDArray[np.float32], model: LidarModel, pose: Pose, priors: Priors) -> Plan:
-    """All that does not depend on quality."""
+def plan_scan(
+    ranges: NDArray[np.float32],
+    model: LidarModel,
+    pose: Pose,
+    priors: Priors,
+    price: int = 1,
+    mask_room: int = 0,
+) -> Plan:
+    """All that does not depend on quality, and the mask at this price, in about `mask_room` bytes at most."""
     samples, tree = new_samples(model, STEPS_MM[0]), new_tree(model, layout_of(model))
     costs_of.sample_all(samples, filled(ranges))
     tolerance, costs = tolerances(ranges, model, pose), costs_of.new_costs(tree)
-    plan = Plan(samples, tolerance, tree, costs, _new_scratch(samples), priors)
+    mask = mask_for(ranges, tolerance.weight, model, pose, price, mask_room) if mask_room else None
+    size = 0
+    if mask is not None:
+        tolerance.weight[mask != 0] = 0
+        size = mask_bytes(mask)
+    plan = Plan(samples, tolerance, tree, costs, _new_scratch(samples), priors, mask, size)
     costs_of.measure_blocks(samples, tolerance, tree, costs, plan.scratch.guess)
     return plan
 
@@ -141,7 +169,8 @@ def choose(plan: Plan, price: int) -> Samples:
         inverses=plan.measured.inverses.copy(),
     )
     estimate(plan, price)
-    search.refine(samples, plan.tolerance, plan.tree, plan.scratch.guess, price)  # once more gains nothing
+    seen = count_seen(plan.mask)
+    search.refine(samples, plan.tolerance, plan.tree, plan.scratch.guess, seen, price)  # once is enough
     return samples
 
 
@@ -161,13 +190,18 @@ def price_of(quality: float) -> int:
 
 def write(plan: Plan, samples: Samples, coder: MixingCoder, price: int) -> None:
     """Write the plan's tree with these samples."""
-    _code(coder, samples, plan.tree, plan.scratch, fineness_of(price), False, True)
+    seen = count_seen(plan.mask)
+    _code(coder, samples, plan.tree, plan.scratch, seen, fineness_of(price), False, True)
 
 
 def _encode_at(plan: Plan, price: int, samples: Samples) -> bytes:
     coder = new_writer(MAX_PAYLOAD, plan.priors)
+    settings = STEPS_MM.index(samples.step_mm) | fineness_of(price) << 2
+    if plan.mask is not None:
+        settings |= _MASKED
+        code_mask(coder, plan.mask)
     write(plan, samples, coder, price)
-    return bytes([STEPS_MM.index(samples.step_mm) | fineness_of(price) << 2]) + finish(coder)
+    return bytes([settings]) + finish(coder)
 
 
 def fineness_of(price: int) -> int:
@@ -180,6 +214,7 @@ def _code(
     samples: Samples,
     tree: Tree,
     scratch: _Scratch,
+    seen: Integers,
     fineness: int,
     reading: bool,
     complete: bool,
@@ -187,7 +222,7 @@ def _code(
     samples.known[:, :] = 0
     scratch.residuals[:, :] = 0
     scratch.features[FINENESS] = fineness
-    code_tree(Stream(coder, samples, tree, *scratch, reading, complete))
+    code_tree(Stream(coder, samples, tree, *scratch, seen, reading, complete))
 
 
 def _encode_within(plan: Plan, budget_bytes: int) -> bytes:
@@ -234,4 +269,4 @@ def _price_for(plan: Plan, estimated_bytes: float) -> int:
 
 def _expected(plan: Plan, price: int) -> float:
     """About how many bytes a payload takes: the estimate, and how it was wrong on training scans."""
-    return float(estimate(plan, price) * (price / _FAIR_PRICE) ** _FAIR_POWER)
+    return float(estimate(plan, price) * (price / _FAIR_PRICE) ** _FAIR_POWER) + plan.mask_bytes

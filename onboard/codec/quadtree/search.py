@@ -10,10 +10,10 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.codec.quadtree.costs import BIT, CUT_RATE, UNCUT_RATE, Costs, block_damage, residual_rate
-from onboard.codec.quadtree.lattice import Samples, Tree, leaf_depths, put_sample
+from onboard.codec.quadtree.lattice import Integers, Samples, Tree, leaf_depths, put_sample
 from onboard.codec.quadtree.predict import GUESS_MM, Guess, guess_new, guess_root
 from onboard.codec.quadtree.tolerance import Tolerance
-from onboard.codec.quadtree.traverse import east_of, is_block
+from onboard.codec.quadtree.traverse import east_of, is_block, masked_around
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -49,8 +49,13 @@ def _least_cost(tree: Tree, costs: Costs, price: int, depth: int, row: int, colu
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def refine(samples: Samples, tolerance: Tolerance, tree: Tree, guess: Guess, price: int) -> None:
-    """Move each sample of the tree, in the order of the stream, to where D + lambda R is least."""
+def refine(
+    samples: Samples, tolerance: Tolerance, tree: Tree, guess: Guess, seen: Integers, price: int
+) -> None:
+    """Move each sample of the tree, in the order of the stream, to where D + lambda R is least.
+
+    Those around which all is masked become what is guessed (`seen`: traverse.count_seen).
+    """
     rows, columns = tolerance.weight.shape
     depths = leaf_depths(tree, rows, columns)
     samples.known[:, :] = 0
@@ -58,7 +63,10 @@ def refine(samples: Samples, tolerance: Tolerance, tree: Tree, guess: Guess, pri
     for row in range(0, rows + 1, height):
         for column in range(0, columns, width):
             guess_root(guess, samples, row, column, height, width)
-            _settle(samples, tolerance, tree, depths, guess, row, column, price)
+            if masked_around(seen, row, column, height, width):
+                put_guess(samples, guess, row, column)
+            else:
+                _settle(samples, tolerance, tree, depths, guess, row, column, price)
     for row in range(0, rows + 1, height):
         for column in range(0, columns, width):
             samples.known[row, column] = 1
@@ -76,7 +84,16 @@ def refine(samples: Samples, tolerance: Tolerance, tree: Tree, guess: Guess, pri
                     if not samples.known[at_row, at_column]:
                         guess_new(guess, samples, at_row, at_column, up, aside, east_of(tree, depth, across))
                         samples.known[at_row, at_column] = 1
-                        _settle(samples, tolerance, tree, depths, guess, at_row, at_column, price)
+                        if masked_around(seen, at_row, at_column, up, aside):
+                            put_guess(samples, guess, at_row, at_column)
+                        else:
+                            _settle(samples, tolerance, tree, depths, guess, at_row, at_column, price)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def put_guess(samples: Samples, guess: Guess, row: int, column: int) -> None:
+    """What the sample becomes with a residual of 0."""
+    put_sample(samples, row, column, (guess.numbers[GUESS_MM] + (samples.step_mm >> 1)) // samples.step_mm)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

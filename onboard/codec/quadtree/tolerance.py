@@ -9,7 +9,6 @@ A ray that leaves the second interval outwards frees an obstacle.
 
 from __future__ import annotations
 
-import threading
 from typing import NamedTuple
 
 import numpy as np
@@ -18,17 +17,12 @@ from numpy.typing import NDArray
 
 from onboard.codec.quadtree.lattice import INVERSE
 from onboard.codec.quadtree.surface import FINE_BITS
+from onboard.codec.windows import REACH_M, WEIGHT_ONE, end_of, floor_of, mark, rays_in_voxels, windows
 from onboard.core.geometry import FloatArray, Pose
 from onboard.core.lidar import LidarModel
 
-VOXEL_M = 0.2
-REACH_M = 20.0
 SLIDE_M = 3.0
 _MARCH_M = 0.2
-_CENTRE = 104
-_CELLS = 2 * _CENTRE + 1
-WEIGHT_ONE = 1024
-_kept = threading.local()
 _NEVER = (1 << 24) << FINE_BITS
 """An inverse that no pixel reaches (ranges of 4 mm)."""
 
@@ -48,29 +42,13 @@ class Tolerance(NamedTuple):
 
 def tolerances(ranges: NDArray[np.float32], model: LidarModel, pose: Pose) -> Tolerance:
     """Tolerance of each pixel of `ranges` (H, W) in metres, for the sensor at `pose` in the map frame."""
-    rays = np.ascontiguousarray(model.directions.reshape(-1, 3) @ (pose.rotation.T / VOXEL_M))
-    phase = pose.position / VOXEL_M - np.floor(pose.position / VOXEL_M)
+    rays, phase = rays_in_voxels(model, pose)
     result = Tolerance(*(np.zeros(ranges.shape, dtype=np.int32) for _ in Tolerance._fields))
-    counts, near = _windows()
-    _measure(ranges.ravel(), rays, phase, counts, near, *(part.reshape(-1) for part in result))
+    _measure(ranges.ravel(), rays, phase, *windows(), *(part.reshape(-1) for part in result))
     return result
 
 
-def _windows() -> tuple[NDArray[np.int16], NDArray[np.bool_]]:
-    """Zeroed windows of this thread: kept, because touching fresh memory takes longer than the work in it."""
-    if not hasattr(_kept, "windows"):
-        shape = (_CELLS, _CELLS, _CELLS)
-        _kept.windows = np.zeros(shape, dtype=np.int16), np.zeros(shape, dtype=np.bool_)
-    windows: tuple[NDArray[np.int16], NDArray[np.bool_]] = _kept.windows
-    return windows
-
-
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _cell(position: float) -> int:
-    return int(position + 256.0) - 256 + _CENTRE  # floor of what is never below -256
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _fine(range_m: float) -> int:
     """Fine inverse of a range in metres."""
     return min(int(INVERSE / 1000 * (1 << FINE_BITS) / max(range_m, 0.004)), _NEVER)
@@ -92,10 +70,10 @@ def _measure(
     """Fill the limits; `rays` and `phase` in voxels. The windows are left zeroed."""
     for i in range(ranges.size):
         if 0 < ranges[i] < REACH_M:
-            x, y, z = _end(ranges[i], rays, phase, i)
-            counts[x, y, z] += 1
-            if counts[x, y, z] == 1:
-                _mark(near, x, y, z, True)
+            cell = end_of(ranges[i], rays, phase, i)
+            counts[cell] += 1
+            if counts[cell] == 1:
+                mark(near, cell, True)
     for i in range(ranges.size):
         if ranges[i] <= 0:
             recall_near[i] = precision_near[i] = _NEVER
@@ -104,40 +82,20 @@ def _measure(
             precision_near[i] = _fine(_march(REACH_M, -_MARCH_M, rays, phase, i, near))
             weight[i] = WEIGHT_ONE
         else:
-            x, y, z = _end(ranges[i], rays, phase, i)
-            nearest, farthest = _within_one_voxel(x, y, z, rays, phase, i)
+            nearest, farthest = _within_one_voxel(ranges[i], rays, phase, i)
             recall_near[i], recall_far[i] = _fine(nearest), _fine(farthest)
             precision_near[i] = _fine(_march(nearest, -_MARCH_M, rays, phase, i, near))
             precision_far[i] = _fine(_march(farthest, _MARCH_M, rays, phase, i, near))
-            weight[i] = WEIGHT_ONE // counts[x, y, z]
+            weight[i] = WEIGHT_ONE // counts[end_of(ranges[i], rays, phase, i)]
     for i in range(ranges.size):
         if 0 < ranges[i] < REACH_M:
-            x, y, z = _end(ranges[i], rays, phase, i)
-            if counts[x, y, z]:
-                counts[x, y, z] = 0
-                _mark(near, x, y, z, False)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _mark(near: NDArray[np.bool_], x: int, y: int, z: int, value: bool) -> None:
-    """Set a voxel and its 26 neighbours; a slice would take five times as long."""
-    for i in range(x - 1, x + 2):
-        for j in range(y - 1, y + 2):
-            near[i, j, z - 1] = value
-            near[i, j, z] = value
-            near[i, j, z + 1] = value
+            cell = end_of(ranges[i], rays, phase, i)
+            if counts[cell]:
+                counts[cell] = 0
+                mark(near, cell, False)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
-def _end(range_m: float, rays: FloatArray, phase: FloatArray, i: int) -> tuple[int, int, int]:
-    return (
-        _cell(phase[0] + rays[i, 0] * range_m),
-        _cell(phase[1] + rays[i, 1] * range_m),
-        _cell(phase[2] + rays[i, 2] * range_m),
-    )
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
 def _march(
     range_m: float, step_m: float, rays: FloatArray, phase: FloatArray, i: int, near: NDArray[np.bool_]
 ) -> float:
@@ -145,24 +103,22 @@ def _march(
     at = range_m
     for _ in range(int(SLIDE_M / _MARCH_M)):
         ahead = at + step_m
-        if ahead <= 0 or ahead > REACH_M or not near[_end(ahead, rays, phase, i)]:
+        if ahead <= 0 or ahead > REACH_M or not near[end_of(ahead, rays, phase, i)]:
             break
         at = ahead
     return at
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _within_one_voxel(
-    x: int, y: int, z: int, rays: FloatArray, phase: FloatArray, i: int
-) -> tuple[float, float]:
-    """Ranges between which the ray runs in the 3 x 3 x 3 voxels around one."""
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _within_one_voxel(range_m: float, rays: FloatArray, phase: FloatArray, i: int) -> tuple[float, float]:
+    """Ranges between which the ray runs in the 3 x 3 x 3 voxels around its end."""
     nearest, farthest = 0.0, REACH_M
     for axis in range(3):
-        cell = (x if axis == 0 else y if axis == 1 else z) - _CENTRE
         slope = rays[i, axis]
         if abs(slope) > 1e-9:
-            first = (cell - 1 - phase[axis]) / slope
-            second = (cell + 2 - phase[axis]) / slope
+            border = floor_of(phase[axis] + slope * range_m)
+            first = (border - 1 - phase[axis]) / slope
+            second = (border + 2 - phase[axis]) / slope
             nearest = max(nearest, min(first, second))
             farthest = min(farthest, max(first, second))
     return nearest, farthest

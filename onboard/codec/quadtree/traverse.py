@@ -7,7 +7,9 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import numpy as np
 from numba import njit
+from numpy.typing import NDArray
 
 from onboard.codec.mixing_coder import MixingCoder, certain
 from onboard.codec.quadtree import symbols
@@ -18,8 +20,9 @@ from onboard.codec.quadtree.predict import GUESS_MM, Guess, guess_new, guess_roo
 class Stream(NamedTuple):
     """A stream being written or read, and what both sides know of it so far.
 
-    `residuals` (H + 1, W) and `features` (10,) are scratch. A stream that is not complete is read up to its
-    last certain symbol: what is missing stays as guessed.
+    `residuals` (H + 1, W) and `features` (10,) are scratch. `seen` (H + 1, W + 1) counts the pixels that are
+    not masked (`count_seen`), (0, 0) without a mask: of what is masked nothing is coded. A stream that is not
+    complete is read up to its last certain symbol: what is missing stays as guessed.
     """
 
     coder: MixingCoder
@@ -28,6 +31,7 @@ class Stream(NamedTuple):
     residuals: Integers
     guess: Guess
     features: Integers
+    seen: Integers
     reading: bool
     complete: bool
 
@@ -44,6 +48,9 @@ def code_tree(stream: Stream) -> None:
             for column in range(columns // width):
                 if not sound or not is_block(tree, depth, row, column):
                     continue
+                if all_masked(stream.seen, row * height, column * width, height, width):
+                    tree.cut[depth, row, column] = 0
+                    continue
                 _cut_features(stream, depth, row, column)
                 cut = symbols.code_cut(stream.coder, stream.features, depth, tree.cut[depth, row, column])
                 if stream.reading:
@@ -51,6 +58,36 @@ def code_tree(stream: Stream) -> None:
                     tree.cut[depth, row, column] = cut if sound else 0
                 if cut and sound:
                     sound = _code_new(stream, depth, row, column)
+
+
+def count_seen(mask: NDArray[np.uint8] | None) -> Integers:
+    """(H + 1, W + 1) pixels above and left of each that a `mask` (H, W) leaves; (0, 0) without one."""
+    if mask is None:
+        return np.zeros((0, 0), dtype=np.int64)
+    seen = np.zeros((mask.shape[0] + 1, mask.shape[1] + 1), dtype=np.int64)
+    seen[1:, 1:] = (mask == 0).cumsum(axis=0).cumsum(axis=1)
+    return seen
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def all_masked(seen: Integers, top: int, left: int, height: int, width: int) -> bool:
+    """Whether nothing is seen in a block within the image."""
+    if not seen.size:
+        return False
+    bottom, right = top + height, left + width
+    return bool(seen[bottom, right] - seen[top, right] - seen[bottom, left] + seen[top, left] == 0)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def masked_around(seen: Integers, row: int, column: int, height: int, width: int) -> bool:
+    """Whether nothing is seen in the four blocks of this size around a sample; columns are a ring."""
+    if not seen.size:
+        return False
+    rows, columns = seen.shape[0] - 1, seen.shape[1] - 1
+    top, bottom = max(row - height, 0), min(row + height, rows)
+    west = column - width if column >= width else column - width + columns
+    height = bottom - top
+    return bool(all_masked(seen, top, column, height, width) and all_masked(seen, top, west, height, width))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -78,7 +115,8 @@ def _code_roots(stream: Stream) -> bool:
             near = guess.neighbours_mm
             features[symbols.SLOPE] = symbols.signed_class(near[4] - near[0], samples.step_mm)
             features[symbols.OTHER_SLOPE] = symbols.signed_class(near[3] - near[1], samples.step_mm)
-            sound = _code_sample(stream, row, column, sound)
+            needed = not masked_around(stream.seen, row, column, height, width)
+            sound = _code_sample(stream, row, column, sound, needed)
     for row in range(0, samples.ranges.shape[0], height):
         for column in range(0, samples.ranges.shape[1], width):
             samples.known[row, column] = 1
@@ -114,7 +152,8 @@ def _code_new(stream: Stream, depth: int, row: int, column: int) -> bool:
         slope, other = _slopes(corners, down * up, across, height)
         features[symbols.SLOPE] = symbols.signed_class(slope, samples.step_mm)
         features[symbols.OTHER_SLOPE] = symbols.signed_class(other, samples.step_mm)
-        sound = _code_sample(stream, at_row, at_column, sound)
+        needed = not masked_around(stream.seen, at_row, at_column, up, aside)
+        sound = _code_sample(stream, at_row, at_column, sound, needed)
     return sound
 
 
@@ -138,16 +177,19 @@ def _slopes(corners: tuple[int, int, int, int], down: int, across: int, height: 
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _code_sample(stream: Stream, row: int, column: int, sound: bool) -> bool:
-    """One sample; behind the end of the stream it becomes what was guessed. Whether the stream goes on."""
+def _code_sample(stream: Stream, row: int, column: int, sound: bool, needed: bool) -> bool:
+    """One sample; behind the end of the stream and where all is masked it becomes what was guessed.
+
+    Whether the stream goes on.
+    """
     samples = stream.samples
     start = (stream.guess.numbers[GUESS_MM] + (samples.step_mm >> 1)) // samples.step_mm
     residual = 0
-    if sound:
+    if sound and needed:
         wanted = samples.levels[row, column] - start
         residual = symbols.code_residual(stream.coder, samples, stream.guess, stream.features, wanted)
-    if stream.reading:
-        sound = sound and (stream.complete or certain(stream.coder))
+    if stream.reading or not needed:
+        sound = sound and (not stream.reading or stream.complete or certain(stream.coder))
         residual = residual if sound else 0
         put_sample(samples, row, column, start + residual)
     stream.residuals[row, column] = residual
