@@ -12,6 +12,7 @@ from onboard.core.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+SlopeAngle = Annotated[float, Field(ge=0, lt=1.5)]
 Ratio = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[float, float, float]
 Size = tuple[Positive, Positive, Positive]
@@ -92,7 +93,10 @@ class RobotSettings(Section):
     keyframes: KeyframeSettings
     planner: PlannerSettings = PlannerSettings()
     step_max_m: NonNegative = 0.25
-    slope_max_rad: NonNegative = 0.5236
+    slope_max_rad: SlopeAngle = 0.5236
+    slope_down_max_rad: SlopeAngle | None = None
+    stairs_max_rad: SlopeAngle = 0.6109
+    roll_max_rad: SlopeAngle = 0.3491
     battery_wh: Positive = 1000.0
     hover_power_w: Positive = 100.0
     reserve: Ratio = 0.2

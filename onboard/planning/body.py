@@ -11,7 +11,7 @@ from onboard.core.lidar import lidar_model
 from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
 from onboard.planning.aerial_graph import Area, build_aerial_graph
 from onboard.planning.gain import GainModel
-from onboard.planning.gait import gait_of
+from onboard.planning.gait import gait_of, slopes_of
 from onboard.planning.ground_graph import build_ground_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph
 
@@ -33,7 +33,7 @@ class Body:
             occlusion_rate_per_m=settings.planner.occlusion_rate_per_m,
         )
         self._corners = _circle(np.hypot(*settings.size_m[:2]) / 2, settings.size_m[2])
-        self._gait = gait_of(settings.size_m, settings.step_max_m, settings.slope_max_rad, voxel_m)
+        self._gait = gait_of(settings.size_m, settings.step_max_m, slopes_of(settings), voxel_m)
         length, width, height = settings.size_m
         if settings.kind == "ground":
             # the upper half of the body: below it, a tread of the stairs ahead would look like an obstacle
