@@ -77,18 +77,6 @@ def _find_levels(window: U8, clear: int, near: int, level: I16) -> None:
                 gap = 0
 
 
-@njit(cache=True, nogil=True)
-def closest_level(levels: I16, z: int) -> int:
-    """The level of a column (4,) closest to z, NO_LEVEL if there is none."""
-    best, distance = NO_LEVEL, 1 << 20
-    for level in levels:
-        if level == NO_LEVEL:
-            break
-        if abs(level - z) < distance:
-            best, distance = level, abs(level - z)
-    return best
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
 def _plane(offsets: NDArray[np.int64], count: int, limit: int, middle: int, out: NDArray[np.float64]) -> None:
     """Least squares z = c + a dx + b dy through rows (dx, dy, z) with |z - middle| <= limit.
@@ -132,11 +120,19 @@ def _fit(level: I16, height: F32, slope_x: F32, slope_y: F32, spread: F32) -> No
                 n = 0
                 for i in range(max(0, x - REACH), min(nx, x + REACH + 1)):
                     for j in range(max(0, y - REACH), min(ny, y + REACH + 1)):
-                        other = closest_level(level[i, j], z)
-                        ring = max(abs(i - x), abs(j - y))
-                        if other != NO_LEVEL and abs(other - z) <= ring + 1:
-                            offsets[n, 0], offsets[n, 1], offsets[n, 2] = i - x, j - y, other - z
-                            counts[other - z + REACH + 1] += 1
+                        found = False
+                        nearest = max(abs(i - x), abs(j - y)) + 2  # a voxel a column and one more
+                        above = 0
+                        for k in range(layers):
+                            other = level[i, j, k]
+                            if other == NO_LEVEL:
+                                break
+                            if abs(other - z) < nearest:
+                                nearest, above = abs(other - z), other - z
+                                offsets[n, 0], offsets[n, 1], offsets[n, 2] = i - x, j - y, above
+                                found = True
+                        if found:
+                            counts[above + REACH + 1] += 1
                             n += 1
                 middle, below = -REACH - 1, counts[0]
                 while 2 * below < n:
