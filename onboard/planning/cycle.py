@@ -10,6 +10,7 @@ from onboard.planning.plan import NOTHING, Plan
 CHOSEN = "chosen"
 LOWER = "lower score"
 TOO_LATE = "no time to be back"
+COLLIDES = "collides"
 
 
 @dataclass

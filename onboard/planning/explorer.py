@@ -7,9 +7,9 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from onboard.core.config import MapSettings, RobotSettings
-from onboard.planning.aerial_graph import Area
-from onboard.planning.cycle import CHOSEN, LOWER, TOO_LATE, Candidate, Cycle
-from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin
+from onboard.planning.air_space import Area
+from onboard.planning.cycle import CHOSEN, COLLIDES, LOWER, TOO_LATE, Candidate, Cycle
+from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin, warm_start
 from onboard.planning.navigator import SEEN_M, Navigator
 from onboard.planning.plan import NOTHING, Plan, Refusals, remaining_path
 from onboard.planning.selection import Choice, rank, score_path
@@ -41,7 +41,7 @@ class Explorer(Navigator):
         """
         assert self.graph is not None
         self.cycle = Cycle(self.cycle.number + 1)
-        seeds = current.path if current is not None else None
+        seeds = warm_start(self.local, None if current is None else current.path)
         self.local = self.body.graph(self.map, point, self._rng, seeds)
         self.observe(point)
         self._refresh_frontiers(point)
@@ -63,10 +63,16 @@ class Explorer(Navigator):
         )
 
     def _best(self, plans: list[Plan]) -> Plan:
-        considered = [Candidate(plan, LOWER if self.affordable(plan) else TOO_LATE) for plan in plans]
+        considered = [Candidate(plan, self._verdict(plan)) for plan in plans]
         self.cycle.candidates += considered
         affordable = [candidate.plan for candidate in considered if candidate.verdict == LOWER]
         return max(affordable, key=lambda plan: plan.score, default=NOTHING)
+
+    def _verdict(self, plan: Plan) -> str:
+        """LOWER until it is chosen, or what rules the plan out: the next best one is taken."""
+        if not self.affordable(plan):
+            return TOO_LATE
+        return COLLIDES if self.flies_into(plan.path) else LOWER
 
     def _chosen(self, plan: Plan, reason: str) -> Plan:
         """Note in the cycle's record what was chosen and why."""
