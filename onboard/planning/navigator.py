@@ -41,6 +41,11 @@ class Navigator:
         self._heading_rad = 0.0
         self._heading_from: FloatArray | None = None
 
+    @property
+    def heading_rad(self) -> float:
+        """Exploring direction: where the robot has been going."""
+        return self._heading_rad
+
     def begin(self, point: FloatArray, heading_rad: float) -> None:
         """Start the global graph at the robot's reference point (3,)."""
         self.graph = GlobalGraph(point)
