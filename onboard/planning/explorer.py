@@ -14,6 +14,7 @@ from onboard.planning.navigator import SEEN_M, Navigator
 from onboard.planning.plan import NOTHING, Plan, Refusals, remaining_path
 from onboard.planning.rolling import Commitment, review
 from onboard.planning.selection import Choice, rank, score_path
+from onboard.planning.startup import Reason, Startup, Step
 
 VIEW_SPACING_M = 1.6
 FAR_FACTOR = 2.5
@@ -36,6 +37,11 @@ class Explorer(Navigator):
         self._refusals = Refusals()
         self._commitment = Commitment()
         self._attempted_s = -np.inf
+        self.startup = Startup(self.body, self.map)
+
+    def begin(self, point: FloatArray, heading_rad: float) -> None:
+        super().begin(point, heading_rad)
+        self.startup.begin(point)
 
     def explore(self, now_s: float, point: FloatArray, current: Plan | None) -> Plan:
         """The best path from the reference point (3,), or NOTHING when no gain within the budget is left.
@@ -60,13 +66,23 @@ class Explorer(Navigator):
             return self._chosen(kept, "keeps the plan under way")
         if len(best.path) == 0:
             best = self._best(self._far(now_s, point))
+        if len(best.path) == 0 and self.startup.active(now_s, point):
+            return self._started(now_s, point, self.startup.help(now_s, point, self._heading_rad, self.trail))
         self._commitment.note(now_s, kept, best)
         if len(best.path) and now_s - self._attempted_s >= self.settings.planner.replan_s:
             self._attempted_s = now_s
+            self.startup.done()
             self._refusals.attempt(now_s, best.goal)
         return self._chosen(
             best, "best score" if len(best.path) else "nothing worth its time within the budget"
         )
+
+    def _started(self, now_s: float, point: FloatArray, step: Step) -> Plan:
+        """Nothing to do where the robot begins: a way out, or another look at the map that it changed."""
+        if step.reason in (Reason.SPHERE, Reason.CONE):
+            return self.explore(now_s, point, None)
+        self.cycle.blocking = step.blocking.round(2).tolist()
+        return self._chosen(step.plan, str(step.reason))
 
     def _best(self, plans: list[Plan]) -> Plan:
         considered = [Candidate(plan, self._verdict(plan)) for plan in plans]

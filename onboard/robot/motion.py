@@ -12,6 +12,7 @@ from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity, finished, follow, stopping_path
 from onboard.planning.local_graph import FloatArray, truncate
 from onboard.planning.plan import Plan, remaining_path
+from onboard.planning.startup import LOOK_AROUND
 from onboard.robot.monitor import Outlook, look_ahead
 from onboard.robot.progress import BackOff, Pacing, Watchdog
 
@@ -65,6 +66,8 @@ class Motion:
         since = now_s - self._planned_s
         if self.plan is None:
             return since >= RETRY_S
+        if self.plan.kind == LOOK_AROUND:
+            return False
         if since < RETRY_S:
             return False
         if self._anew or self._outdated(now_s, pose, self.plan):
@@ -102,26 +105,38 @@ class Motion:
         backwards = self._back_off.command(now_s, pose)
         if backwards is not None:
             return backwards
-        if self.plan is None:
-            return HALT
+        if self.plan is None or self.plan.kind == LOOK_AROUND:
+            return HALT if self.plan is None else self._look_around(now_s)
         if not self.at_end(pose) and self._watchdog.stuck(now_s, pose, self.plan):
             self._give_up(now_s, pose, self.plan)
             return HALT
         if self._pacing.going_round(now_s, pose.position, self.plan.goal):
             self._explorer.refuse(now_s, self.plan.goal)
             self._anew = True
-        outlook = self._outlook(pose, self.plan)
+        return self._follow(now_s, pose, self.plan, moving)
+
+    def _follow(self, now_s: float, pose: Pose, plan: Plan, moving: FloatArray) -> Velocity:
+        """Along the plan, no faster than the collision monitor allows."""
+        outlook = self._outlook(pose, plan)
         if outlook is not None and outlook.stop:
             self.drop(now_s)
             return HALT
-        self._anew |= outlook is not None and outlook.blocked
-        command = follow(self._settings, pose, self.plan.path, moving)
+        command = follow(self._settings, pose, plan.path, moving)
         if outlook is not None:
+            self._anew |= outlook.blocked
             command = _slowed(command, outlook.speed_m_s)
         if self._cramped(pose, command):
             self._leave(now_s, pose)
             return HALT
         return command
+
+    def _look_around(self, now_s: float) -> Velocity:
+        """Once around on the spot, then plan anew."""
+        rate = self._settings.yaw_rate_rad_s
+        if now_s - self._planned_s > 2 * np.pi / rate:
+            self.drop(now_s)
+            return HALT
+        return Velocity(np.zeros(3), rate)
 
     def _velocity(self, now_s: float, pose: Pose) -> FloatArray:
         """Velocity (3,) by the difference of the last two poses."""
