@@ -1,9 +1,10 @@
-"""`python -m benchmarks.planning --out DIR`: the aerial robot's planning cycles on simulated missions' maps."""
+"""`python -m benchmarks.planning --out DIR`: the aerial robot's planning cycles on maps of missions."""
 
 from __future__ import annotations
 
 import argparse
 import json
+import sys
 from pathlib import Path
 
 from benchmarks.planning.edges import false_free
@@ -39,7 +40,7 @@ def main() -> None:
         result["all"] = summary(rows)
         (given.out / "rows.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
         (given.out / "summary.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
-    print(json.dumps(result, indent=1))
+    sys.stdout.write(json.dumps(result, indent=1) + "\n")
 
 
 if __name__ == "__main__":

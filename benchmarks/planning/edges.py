@@ -1,4 +1,4 @@
-"""Edges of random boxes on a recorded map against brute force: none that is called free may touch anything."""
+"""Edges of random boxes on a recorded map against brute force: none that is called free may touch."""
 
 from __future__ import annotations
 

@@ -89,7 +89,7 @@ def measure(situations: list[Situation]) -> list[Row]:
 
 
 def summary(rows: list[Row]) -> Row:
-    """Percentiles of the cycle and the review, the stages' shares, and how many cycles were the same twice."""
+    """Percentiles of cycle and review, the stages' shares, and how many cycles were the same twice."""
     cycles = np.array([row["cycle_ms"] for row in rows])
     reviews = [row["review_ms"] for row in rows if row["review_ms"] is not None]
     shares = {stage: float(sum(row[stage] for row in rows) / cycles.sum()) for stage in STAGES}

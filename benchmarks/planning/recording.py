@@ -58,12 +58,14 @@ class _Tap:
         return Situation(self.world, now_s, point.copy(), current, taken)
 
 
+def _ignore(*args: object, **fields: object) -> None:
+    """No event log."""
+
+
 def record(config: Config, world: World, seed: int, until_s: float, every: int) -> list[Situation]:
-    """Fly a mission for `until_s` seconds and keep every `every`-th planning situation of the aerial robot."""
+    """Fly a mission for `until_s` seconds; keep every `every`-th planning situation of the aerial robot."""
     config = within_world(config, world)
-    mission = Mission(
-        config, world, Scene(world.vertices, world.triangles), seed, lambda *args, **fields: None
-    )
+    mission = Mission(config, world, Scene(world.vertices, world.triangles), seed, _ignore)
     explorer = next(agent.core.explorer for agent in mission.agents if agent.settings.kind == "aerial")
     tap = _Tap(world.name, explorer, every)
     explorer.__dict__["explore"] = tap.wrap(explorer.explore)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -83,7 +84,7 @@ def test_with_a_dead_planner_the_monitor_stops_before_what_appears(appear_s, bey
 def test_unknown_space_is_never_entered_faster_than_creeping():
     path = np.array([START, along(14.0, 0.0, 0.0)])
     voxel_map, record = flight(path, np.inf, None, free_to=8.0)
-    for (_, speed, position), (_, later, _) in zip(record, record[1:], strict=False):
+    for (_, speed, position), (_, later, _) in pairwise(record):
         stops_m = braking_distance(speed, AERIAL.acceleration_m_s2) - REACTION_S * speed
         ahead = position + np.array([stops_m, 0.0, 0.0])
         inside = voxel_map.segment_status(position[None], ahead[None], HALF)[0] == FREE
