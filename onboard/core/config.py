@@ -63,7 +63,7 @@ class PlannerSettings(Section):
     """Local and global planning of one robot; the symbols are those of docs/planner.md."""
 
     window_m: Size = (30.0, 30.0, 8.0)
-    vertices: Annotated[int, Field(ge=20, le=5000)] = 600
+    vertices: Annotated[int, Field(ge=20, le=5000)] = 700
     edge_max_m: Positive = 3.0
     clearance_m: NonNegative = 0.15
     gain_range_m: Positive = 20.0

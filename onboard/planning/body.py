@@ -9,7 +9,8 @@ from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import lidar_model
 from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
-from onboard.planning.aerial_graph import Area, build_aerial_graph
+from onboard.planning.aerial_graph import build_aerial_graph
+from onboard.planning.air_space import Area
 from onboard.planning.gain import GainModel
 from onboard.planning.gait import gait_of, slopes_of
 from onboard.planning.ground_graph import build_ground_graph

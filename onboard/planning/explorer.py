@@ -7,12 +7,14 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from onboard.core.config import MapSettings, RobotSettings
-from onboard.planning.aerial_graph import Area
-from onboard.planning.cycle import CHOSEN, LOWER, TOO_LATE, Candidate, Cycle
-from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin
+from onboard.planning.air_space import Area
+from onboard.planning.cycle import CHOSEN, COLLIDES, LOWER, TOO_LATE, Candidate, Cycle
+from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin, warm_start
 from onboard.planning.navigator import SEEN_M, Navigator
 from onboard.planning.plan import NOTHING, Plan, Refusals, remaining_path
+from onboard.planning.rolling import Commitment, review
 from onboard.planning.selection import Choice, rank, score_path
+from onboard.planning.startup import Reason, Startup, Step
 
 VIEW_SPACING_M = 1.6
 FAR_FACTOR = 2.5
@@ -33,6 +35,13 @@ class Explorer(Navigator):
         self.peer_goals: list[FloatArray] = []
         self.cycle = Cycle()
         self._refusals = Refusals()
+        self._commitment = Commitment()
+        self._attempted_s = -np.inf
+        self.startup = Startup(self.body, self.map)
+
+    def begin(self, point: FloatArray, heading_rad: float) -> None:
+        super().begin(point, heading_rad)
+        self.startup.begin(point)
 
     def explore(self, now_s: float, point: FloatArray, current: Plan | None) -> Plan:
         """The best path from the reference point (3,), or NOTHING when no gain within the budget is left.
@@ -41,7 +50,7 @@ class Explorer(Navigator):
         """
         assert self.graph is not None
         self.cycle = Cycle(self.cycle.number + 1)
-        seeds = current.path if current is not None else None
+        seeds = warm_start(self.local, None if current is None else current.path)
         self.local = self.body.graph(self.map, point, self._rng, seeds)
         self.observe(point)
         self._refresh_frontiers(point)
@@ -50,23 +59,42 @@ class Explorer(Navigator):
         if route is not None:
             plans.append(route)
         best = self._best(plans)
-        kept = self._keep(point, current)
-        if kept is not None and kept.score * self.settings.planner.switch_gain >= best.score:
+        kept = self.kept_from(point, current)
+        holds = kept is not None and kept.score * self.settings.planner.switch_gain >= best.score
+        if kept is not None and (holds or self.committed(now_s)):
             self.cycle.candidates.append(Candidate(kept))
             return self._chosen(kept, "keeps the plan under way")
         if len(best.path) == 0:
             best = self._best(self._far(now_s, point))
-        if len(best.path):
+        if len(best.path) == 0 and self.startup.active(now_s, point):
+            return self._started(now_s, point, self.startup.help(now_s, point, self._heading_rad, self.trail))
+        self._commitment.note(now_s, kept, best)
+        if len(best.path) and now_s - self._attempted_s >= self.settings.planner.replan_s:
+            self._attempted_s = now_s
+            self.startup.done()
             self._refusals.attempt(now_s, best.goal)
         return self._chosen(
             best, "best score" if len(best.path) else "nothing worth its time within the budget"
         )
 
+    def _started(self, now_s: float, point: FloatArray, step: Step) -> Plan:
+        """Nothing to do where the robot begins: a way out, or another look at the map that it changed."""
+        if step.reason in (Reason.SPHERE, Reason.CONE):
+            return self.explore(now_s, point, None)
+        self.cycle.blocking = step.blocking.round(2).tolist()
+        return self._chosen(step.plan, str(step.reason))
+
     def _best(self, plans: list[Plan]) -> Plan:
-        considered = [Candidate(plan, LOWER if self.affordable(plan) else TOO_LATE) for plan in plans]
+        considered = [Candidate(plan, self._verdict(plan)) for plan in plans]
         self.cycle.candidates += considered
         affordable = [candidate.plan for candidate in considered if candidate.verdict == LOWER]
         return max(affordable, key=lambda plan: plan.score, default=NOTHING)
+
+    def _verdict(self, plan: Plan) -> str:
+        """LOWER until it is chosen, or what rules the plan out: the next best one is taken."""
+        if not self.affordable(plan):
+            return TOO_LATE
+        return COLLIDES if self.flies_into(plan.path) else LOWER
 
     def _chosen(self, plan: Plan, reason: str) -> Plan:
         """Note in the cycle's record what was chosen and why."""
@@ -128,7 +156,7 @@ class Explorer(Navigator):
     def _plan(self, choice: Choice, kind: str) -> Plan:
         return Plan(choice.path, kind, choice.gain_m3, choice.score, choice.time_s)
 
-    def _keep(self, point: FloatArray, current: Plan | None) -> Plan | None:
+    def kept_from(self, point: FloatArray, current: Plan | None) -> Plan | None:
         """The current plan from here on with its gain as the map now says, None if it is not worth or not
         possible."""
         if current is None or len(current.path) < 2 or current.kind == "route":
@@ -136,13 +164,30 @@ class Explorer(Navigator):
         rest = remaining_path(point, current.path)
         if polyline_length(rest) < TRIM_M or self.path_blocked(rest, self.settings.planner.horizon_m):
             return None
-        end = rest[-1:]
-        gain = float((self.body.gains(self.map, end) * self._discount(end) * self._unvisited(end))[0])
+        gain = float(self.wanted(rest[-1:])[0])
         if gain < self.settings.planner.frontier_m3:
             return None
         choice = score_path(rest, gain, self._heading_rad, self.settings.speed_m_s, self.settings.planner)
         plan = self._plan(choice, current.kind)
         return plan if self.affordable(plan) else None
+
+    def wanted(self, points: FloatArray) -> FloatArray:
+        """Gains in m^3 (N,) that are left for this robot at reference points (N, 3), as the map is now."""
+        return np.asarray(
+            self.body.gains(self.map, points) * self._discount(points) * self._unvisited(points), np.float64
+        )
+
+    def review(self, now_s: float, point: FloatArray, current: Plan) -> str | None:
+        """Why to plan anew at once while following a plan, see `rolling.review`."""
+        return review(self, now_s, point, current) if current.gain_m3 > 0 else None
+
+    def committed(self, now_s: float) -> bool:
+        """Whether the robot has changed its mind so often that it keeps what it does."""
+        return self._commitment.binds(now_s)
+
+    def way_from(self, point: FloatArray, path: FloatArray) -> FloatArray:
+        """(M, 3) path of the last cycle from where the robot is now."""
+        return self._join(point, path)
 
     def _discount(self, points: FloatArray) -> FloatArray:
         """Share of a gain (N,) that is left to this robot next to what its peers are heading for."""

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+WARM_SPACING_M = 1.0
+WARM_SHARE = 0.7
+
 
 class LocalGraph(Protocol):
     """Reachable vertices around the robot with their shortest paths.
@@ -33,6 +36,18 @@ class LocalGraph(Protocol):
     def reach(self, point: FloatArray, radius_m: float) -> FloatArray | None:
         """(M, 3) way from the root to the reachable place closest to `point`, None beyond `radius_m`."""
         ...
+
+
+def warm_start(earlier: LocalGraph | None, path: FloatArray | None) -> FloatArray | None:
+    """Places (K, 3) for the next graph: corners of the path under way, then the earlier graph's vertices.
+
+    Vertices are thinned to one a metre and to the nearer WARM_SHARE of them, so that others get a chance.
+    """
+    parts = [] if path is None else [path]
+    if earlier is not None:
+        kept = thin(earlier.points, WARM_SPACING_M, int(WARM_SHARE * len(earlier.points)))
+        parts.append(earlier.points[kept])
+    return np.concatenate(parts) if parts else None
 
 
 def thin(points: FloatArray, spacing_m: float, limit: int) -> NDArray[np.int64]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from onboard.core.config import MapSettings, RobotSettings
 from onboard.mapping.voxel_map import FREE, VoxelMap
-from onboard.planning.aerial_graph import Area
+from onboard.planning.air_space import Area
 from onboard.planning.body import Body
 from onboard.planning.global_graph import LINK_M, GlobalGraph
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
@@ -40,6 +40,11 @@ class Navigator:
         self._rng = np.random.default_rng([seed, settings.id])
         self._heading_rad = 0.0
         self._heading_from: FloatArray | None = None
+
+    @property
+    def heading_rad(self) -> float:
+        """Exploring direction: where the robot has been going."""
+        return self._heading_rad
 
     def begin(self, point: FloatArray, heading_rad: float) -> None:
         """Start the global graph at the robot's reference point (3,)."""
@@ -150,6 +155,12 @@ class Navigator:
         if len(legs) == 0:
             return False
         return bool(self.body.blocked(self.map, path[legs], path[legs + 1]).any())
+
+    def flies_into(self, path: FloatArray) -> bool:
+        """Whether a flight (M, 3) leads into something known; a walk never does, its graph sees to that."""
+        if self.settings.kind == "ground" or len(path) < 2:
+            return False
+        return bool(self.body.blocked(self.map, path[:-1], path[1:]).any())
 
     def passable(self, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
         """Whether short straight flights (N, 3) -> (N, 3) lead through space that is known to be free."""

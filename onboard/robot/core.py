@@ -212,8 +212,11 @@ class RobotCore:
             return insisted
         if self.phase == Phase.RETURNING:
             return self._plan_return(pose)
-        plan: Plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, self.motion.plan)
-        self._idle = 0 if len(plan.path) else self._idle + 1
+        ahead = self.motion.ahead(pose)
+        plan: Plan = self.profile.timed("plan", self.explorer.explore, now_s, ahead, self.motion.plan)
+        plan = self.motion.joined(pose, plan)
+        starting = self.explorer.startup.active(now_s, pose.position)
+        self._idle = 0 if len(plan.path) or starting else self._idle + 1
         self.role.planned(now_s, self.phase, pose, plan)
         self._log("plan", **described(plan))
         self._log("cycle", **self.explorer.cycle.described())
