@@ -18,8 +18,10 @@ from onboard.core.config import Config
 from onboard.core.errors import ConfigError
 from onboard.core.geometry import Pose
 from onboard.mapping.voxel_map import OWN
+from onboard.planning.explorer import Explorer
+from onboard.robot.core import PlannerFactory
 from onboard.robot.roles import vector
-from simulation.agent import bracket_pose
+from simulation.agent import launch_pose
 from simulation.mission import Mission
 from simulation.scene import Scene
 from simulation.scoring import is_complete, merged_map, metrics, volume_m3
@@ -48,18 +50,20 @@ def simulate(
     out: Path,
     team: str = "both",
     progress: Callable[[Progress], None] | None = None,
+    planner: PlannerFactory = Explorer,
 ) -> dict[str, Any]:
     """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`.
 
-    `team` is "both" or "ground". Returns the metrics. After ctrl-C the directory holds what there is and
-    KeyboardInterrupt goes on. Raises InputError for a start without ground or without room to fly.
+    `team` is "both", "ground" or "aerial". Returns the metrics. After ctrl-C the directory holds what
+    there is and KeyboardInterrupt goes on. `planner` makes the planner of every robot. Raises
+    InputError for a start without ground or without room to fly.
     """
     started = time.perf_counter()
     config = within_world(select_team(config, team), world)
     scene = Scene(world.vertices, world.triangles)
     truth = reachable(config, world)
     with EventLog(out / "events.jsonl") as events:
-        run = Run(config, world, scene, seed, events)
+        run = Run(config, world, scene, seed, events, planner)
         try:
             run.loop(progress)
         finally:
@@ -72,8 +76,10 @@ def simulate(
 def select_team(config: Config, team: str) -> Config:
     """The configuration with only the robots that take part."""
     robots = tuple(robot for robot in config.robots if team in ("both", robot.kind))
-    if not any(robot.kind == "ground" for robot in robots):
+    if not any(robot.kind == "ground" for robot in robots) and team != "aerial":
         raise ConfigError("robots: a mission needs a ground robot, which carries the others")
+    if not robots:
+        raise ConfigError("robots: there is no aerial robot that could fly alone")
     return config.model_copy(update={"robots": robots})
 
 
@@ -87,10 +93,9 @@ def within_world(config: Config, world: World) -> Config:
 
 def reachable(config: Config, world: World) -> Truth:
     """The free volume that a flying robot of the paper's size reaches from the start."""
-    ground = next(robot for robot in config.robots if robot.kind == "ground")
     aerial = next((robot for robot in config.robots if robot.kind == "aerial"), None)
     half = (0.19, 0.19, 0.12) if aerial is None else tuple(size / 2 for size in aerial.size_m)
-    from_pose = bracket_pose(Pose.from_rpy(world.start), ground.size_m[2])
+    from_pose = launch_pose(Pose.from_rpy(world.start), config.robots)
     return Truth(
         world.vertices, world.triangles, config.map.voxel_m, from_pose.position, (half[0], half[1], half[2])
     )
@@ -99,8 +104,16 @@ def reachable(config: Config, world: World) -> Truth:
 class Run:
     """A mission with the record that is kept of it."""
 
-    def __init__(self, config: Config, world: World, scene: Scene, seed: int, events: EventLog) -> None:
-        self.mission = Mission(config, world, scene, seed, self._event)
+    def __init__(
+        self,
+        config: Config,
+        world: World,
+        scene: Scene,
+        seed: int,
+        events: EventLog,
+        planner: PlannerFactory = Explorer,
+    ) -> None:
+        self.mission = Mission(config, world, scene, seed, self._event, planner)
         self._events = events
         self._timeline: dict[str, list[float]] = {}
         self._markers = [Marker("start", "start", vector(world.start), 0.0)]
@@ -114,7 +127,7 @@ class Run:
             }
             self._markers.append(Marker("deploy", "deploy", fields["position"], time_s))
             self._markers.append(Marker("target", "target", fields["target"], time_s))
-        if kind == "regroup" and fields["robot"] == self.mission.carriers[0].name:
+        if kind == "regroup" and fields["robot"] == self.mission.lead.name:
             self._markers.append(Marker("regroup", "regroup", fields["position"], time_s))
 
     def loop(self, progress: Callable[[Progress], None] | None) -> None:
