@@ -22,6 +22,7 @@ from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory
 from onboard.robot.roles import vector
 from simulation.agent import launch_pose
+from simulation.coverage import Coverage
 from simulation.mission import Mission
 from simulation.scene import Scene
 from simulation.scoring import is_complete, merged_map, metrics, volume_m3
@@ -51,25 +52,26 @@ def simulate(
     team: str = "both",
     progress: Callable[[Progress], None] | None = None,
     planner: PlannerFactory = Explorer,
+    report: bool = True,
 ) -> dict[str, Any]:
     """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`.
 
     `team` is "both", "ground" or "aerial". Returns the metrics. After ctrl-C the directory holds what
-    there is and KeyboardInterrupt goes on. `planner` makes the planner of every robot. Raises
-    InputError for a start without ground or without room to fly.
+    there is and KeyboardInterrupt goes on. `planner` makes the planner of every robot;
+    without `report` there is no report.html. Raises InputError for a start without ground or room to fly.
     """
     started = time.perf_counter()
     config = within_world(select_team(config, team), world)
     scene = Scene(world.vertices, world.triangles)
     truth = reachable(config, world)
     with EventLog(out / "events.jsonl") as events:
-        run = Run(config, world, scene, seed, events, planner)
+        run = Run(config, world, scene, seed, events, planner, Coverage(truth))
         try:
             run.loop(progress)
         finally:
             result = metrics(run.mission, truth, time.perf_counter() - started)
             events.write(run.mission.now_s, "end", complete=result["complete"])
-            run.write(out, result, progress)
+            run.write(out, result, progress, report)
     return result
 
 
@@ -111,9 +113,11 @@ class Run:
         scene: Scene,
         seed: int,
         events: EventLog,
-        planner: PlannerFactory = Explorer,
+        planner: PlannerFactory,
+        coverage: Coverage,
     ) -> None:
         self.mission = Mission(config, world, scene, seed, self._event, planner)
+        self._coverage = coverage
         self._events = events
         self._timeline: dict[str, list[float]] = {}
         self._markers = [Marker("start", "start", vector(world.start), 0.0)]
@@ -144,7 +148,8 @@ class Run:
         mission = self.mission
         explored = {agent.name: volume_m3(mission, [agent]) for agent in mission.agents}
         union = volume_m3(mission, mission.agents)
-        row = {"time_s": mission.now_s, "explored_m3/union": union}
+        self._coverage.add([agent.core.explorer.map for agent in mission.agents])
+        row = {"time_s": mission.now_s, "explored_m3/union": union, "coverage": self._coverage.share}
         row |= {f"explored_m3/{name}": volume for name, volume in explored.items()}
         for kind in mission.agents[0].core.link.bytes_sent:
             row[f"bytes/{kind}"] = float(sum(agent.core.link.bytes_sent[kind] for agent in mission.agents))
@@ -154,7 +159,9 @@ class Run:
             duration_s = mission.config.mission.duration_s
             progress(Progress(mission.now_s, duration_s, mission.phase(), explored, union))
 
-    def write(self, out: Path, result: dict[str, Any], progress: Callable[[Progress], None] | None) -> None:
+    def write(
+        self, out: Path, result: dict[str, Any], progress: Callable[[Progress], None] | None, report: bool
+    ) -> None:
         """Write the run directory."""
         self._report(progress)
         record = self.record(result)
@@ -163,7 +170,8 @@ class Run:
         write_json(out / "timeline.json", record.timeline)
         write_json(out / "paths.json", {name: path.round(3) for name, path in record.paths.items()})
         write_ply(out / "map.ply", record.occupied, observer_colours(record.seen_by, len(record.robots)))
-        write_report(out, record)
+        if report:
+            write_report(out, record)
 
     def record(self, result: dict[str, Any]) -> RunRecord:
         """The run as the report wants it."""
