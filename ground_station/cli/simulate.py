@@ -29,6 +29,7 @@ class Team(StrEnum):
 
     BOTH = "both"
     GROUND = "ground"
+    AERIAL = "aerial"
 
 
 def simulate(
@@ -41,7 +42,7 @@ def simulate(
         float | None, typer.Option(metavar="SECONDS", help="Mission time; the configuration's unless given.")
     ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run goes.")] = Path("run"),
-    team: Annotated[Team, typer.Option(help="'ground' leaves the aerial robot at home.")] = Team.BOTH,
+    team: Annotated[Team, typer.Option(help="'ground' or 'aerial': one robot alone.")] = Team.BOTH,
     start: Annotated[
         str | None,
         typer.Option(metavar="X,Y,Z", help="Start on the floor, metres; the world's unless given."),

@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from onboard.core.config import Config, RobotSettings
+from onboard.core.config import Config, MapSettings, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.mission import Facts, Phase, next_phase
+from onboard.planning.aerial_graph import Area
 from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity
@@ -22,6 +23,7 @@ from onboard.robot.interface import Inputs, Log, Outputs, Profile
 from onboard.robot.motion import Motion
 from onboard.robot.roles import Role, Team, vector
 from onboard.robot.sensing import Sensing
+from onboard.robot.soloist import Soloist
 from onboard.safety import keep_clear
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import Status
@@ -35,6 +37,9 @@ LOOK_AGAIN_S = 10.0
 WORTH_RESUMING_M3 = 10.0
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
 
+PlannerFactory = Callable[[RobotSettings, MapSettings, int, Area | None], Explorer]
+"""Makes the planner of a robot from its settings, the map's, the seed and the area to explore."""
+
 
 class RobotCore:
     """Everything a robot thinks. No I/O: sensor readings and frames go in, commands and frames come out."""
@@ -47,16 +52,18 @@ class RobotCore:
         start: Pose,
         log: Log,
         clock: Callable[[], float],
+        planner: PlannerFactory = Explorer,
     ) -> None:
+        """`planner` exists so that other planners can be compared on the same robot."""
         self.settings = settings
-        self.explorer = Explorer(settings, config.map, seed, config.mission.area_m)
+        self.explorer = planner(settings, config.map, seed, config.mission.area_m)
         self.sensing = Sensing(settings, self.explorer.map)
         peers = [robot.id for robot in config.robots if robot.name != settings.name]
         self.link = LinkCore(settings.id, peers, contact_timeout_s=config.mission.contact_timeout_s)
         self.motion = Motion(settings, self.explorer)
         self.profile = Profile(clock)
         self.team = Team(config, settings.name, self.explorer, self.sensing, self.link, log, self.profile)
-        self.role: Role = Carrier(self.team, seed, start) if settings.kind == "ground" else Flyer(self.team)
+        self.role = self._role(seed, start)
         self.phase = self.role.first_phase
         self.arrived_s: float | None = None
         self._log = log
@@ -66,6 +73,12 @@ class RobotCore:
         self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
+
+    def _role(self, seed: int, start: Pose) -> Role:
+        if self.settings.kind == "ground":
+            return Carrier(self.team, seed, start)
+        carried = any(peer.kind == "ground" for peer in self.team.peers)
+        return Flyer(self.team) if carried else Soloist(self.team, start)
 
     def _stand_at(self, start: Pose) -> None:
         self.explorer.begin(start.position, start.yaw)

@@ -41,6 +41,8 @@ def team(robots: str = "both", **sections: dict[str, Any]) -> Config:
     }
     if robots == "ground":
         update["robots"] = config.robots[:1]
+    if robots == "aerial":
+        update["robots"] = config.robots[1:]
     return config.model_copy(update=update)
 
 

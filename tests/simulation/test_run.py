@@ -174,6 +174,18 @@ def test_a_ground_robot_alone(tmp_path):
     assert metrics["complete"] is (metrics["robots"]["ground"]["home"])
 
 
+def test_an_aerial_robot_alone_takes_off_and_comes_back(tmp_path):
+    metrics = simulate(team(mission={"duration_s": 90.0}), room(), 1, tmp_path, team="aerial")
+    assert set(metrics) == TOP
+    aerial = metrics["robots"]["aerial"]
+    assert metrics["deployed"] is False
+    assert (aerial["collisions"], aerial["home"], metrics["complete"]) == (0, True, True)
+    assert aerial["explored_m3"] == metrics["union_m3"] > 0.8 * ROOM_M3
+    assert metrics["regroup"] == pytest.approx([-3.0, 0.0, 1.4], abs=0.01)
+    phases = [event["phase"] for event in events_of(tmp_path) if event["kind"] == "phase"]
+    assert phases == ["exploring", "returning", "waiting", "done"]
+
+
 def test_ctrl_c_leaves_what_there_is_and_goes_on(tmp_path):
     def interrupt(progress: Progress) -> None:
         if progress.time_s >= 5.0 and not interrupted:
@@ -196,6 +208,8 @@ def test_a_team_that_is_not_in_the_configuration_is_refused():
     config = CONFIG.model_copy(update={"robots": CONFIG.robots[1:]})
     with pytest.raises(ConfigError, match="a mission needs a ground robot"):
         select_team(config, "ground")
+    with pytest.raises(ConfigError, match="no aerial robot"):
+        select_team(CONFIG.model_copy(update={"robots": CONFIG.robots[:1]}), "aerial")
 
 
 @pytest.mark.parametrize("start", [(20.0, 0.0, 0.0), (-3.0, 0.0, 9.0)])

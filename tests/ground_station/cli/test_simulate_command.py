@@ -93,7 +93,7 @@ def test_impossible_durations_are_refused(cli: Any, simulator: Any, tmp_path: Pa
     [
         ["--duration", "long"],
         ["--seed", "-1"],
-        ["--team", "aerial"],
+        ["--team", "nobody"],
         ["--start", "1,2"],
         ["--start", "a,b,c"],
         ["--start", "nan,0,0"],
