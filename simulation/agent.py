@@ -20,6 +20,7 @@ from simulation.scene import Scene
 
 BRACKET_M = 0.15
 """Height of a carried robot's centre above its carrier's back."""
+BRACKET_SPACING_M = 0.45
 
 
 class Agent:
@@ -87,6 +88,7 @@ class Agent:
         return self.core.phase == Phase.DONE or self.carried
 
 
-def bracket_pose(carrier: Pose, carrier_height_m: float) -> Pose:
-    """Centre of a carried robot."""
-    return carrier.compose(Pose.from_rpy(np.array([0.0, 0.0, carrier_height_m + BRACKET_M])))
+def bracket_pose(carrier: Pose, carrier_height_m: float, place: int = 0) -> Pose:
+    """Centre of a carried robot: place 0 is the middle of the carrier's back, 1 before it, 2 behind."""
+    along = BRACKET_SPACING_M * ((place + 1) // 2) * (1 if place % 2 else -1)
+    return carrier.compose(Pose.from_rpy(np.array([along, 0.0, carrier_height_m + BRACKET_M])))

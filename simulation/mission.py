@@ -54,8 +54,12 @@ class Mission:
 
         start = self._start
         if settings.kind == "aerial":
-            start = bracket_pose(start, self._carrier_settings().size_m[2])
+            start = bracket_pose(start, self._carrier_settings().size_m[2], self._place(settings.id))
         return Agent(self.config, settings, scene, seed, start, log)
+
+    def _place(self, robot_id: int) -> int:
+        """Which of the carrier's brackets holds an aerial robot."""
+        return [robot.id for robot in self.config.robots if robot.kind == "aerial"].index(robot_id)
 
     def _carrier_settings(self) -> RobotSettings:
         for settings in self.config.robots:
@@ -114,17 +118,20 @@ class Mission:
         carrier = self.carriers[0]
         for agent in self.agents:
             if isinstance(agent.body, AerialRobot) and agent.body.attached:
-                agent.body.carry(bracket_pose(carrier.pose, carrier.settings.size_m[2]))
+                place = self._place(agent.settings.id)
+                agent.body.carry(bracket_pose(carrier.pose, carrier.settings.size_m[2], place))
 
     def _count_meetings(self) -> None:
-        """Contact between a flying robot and a ground robot's body."""
+        """Contact between a flying robot and the body of another robot."""
         for flyer in self.agents:
             if flyer.carried or flyer.settings.kind != "aerial":
                 continue
             if self.now_s - self._released_s[flyer.settings.id] < SEPARATION_S:
                 continue
-            for carrier in self.carriers:
-                pose, size = carrier.box()
+            for other in self.agents:
+                if other is flyer:
+                    continue
+                pose, size = other.box()
                 local = np.abs(pose.rotation.T @ (flyer.pose.position - pose.position)) - np.array(size) / 2
                 gap = float(np.linalg.norm(np.maximum(local, 0.0))) - max(flyer.settings.size_m) / 2
                 if gap < 0:

@@ -88,7 +88,7 @@ class Explorer(Navigator):
         places = graph.points[views]
         gains = self.body.gains(self.map, places)
         self._add_frontiers(graph, views, gains)
-        wanted = gains * self._discount(places) * self._unvisited(places)
+        wanted = gains * self.left_by_peers(places) * self._unvisited(places)
         wanted[~self._refusals.allowed(now_s, places)] = 0.0
         speed = self.settings.speed_m_s
         choices = rank(graph, views, wanted, self._heading_rad, speed, self.settings.planner)
@@ -107,7 +107,7 @@ class Explorer(Navigator):
         nodes = np.array(sorted(graph.frontiers))
         places = graph.points[nodes]
         gains = np.array([graph.frontiers[int(node)] for node in nodes])
-        gains *= self._discount(places) * self._unvisited(places)
+        gains *= self.left_by_peers(places) * self._unvisited(places)
         gains[~self._refusals.allowed(now_s, places)] = 0.0
         times = self._distances_from(point)[nodes] / self.settings.speed_m_s
         gains[gains < self.settings.planner.frontier_m3] = 0.0
@@ -137,14 +137,14 @@ class Explorer(Navigator):
         if polyline_length(rest) < TRIM_M or self.path_blocked(rest, self.settings.planner.horizon_m):
             return None
         end = rest[-1:]
-        gain = float((self.body.gains(self.map, end) * self._discount(end) * self._unvisited(end))[0])
+        gain = float((self.body.gains(self.map, end) * self.left_by_peers(end) * self._unvisited(end))[0])
         if gain < self.settings.planner.frontier_m3:
             return None
         choice = score_path(rest, gain, self._heading_rad, self.settings.speed_m_s, self.settings.planner)
         plan = self._plan(choice, current.kind)
         return plan if self.affordable(plan) else None
 
-    def _discount(self, points: FloatArray) -> FloatArray:
+    def left_by_peers(self, points: FloatArray) -> FloatArray:
         """Share of a gain (N,) that is left to this robot next to what its peers are heading for."""
         factor = np.ones(len(points))
         for goal in self.peer_goals:

@@ -24,7 +24,7 @@ from onboard.robot.roles import Role, Team, vector
 from onboard.robot.sensing import Sensing
 from onboard.safety import keep_clear
 from onboard.sharing import LinkCore
-from onboard.sharing.messages import Status
+from onboard.sharing.messages import Bids, Status
 
 START_DISC_M = 3.0
 """The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets
@@ -80,7 +80,10 @@ class RobotCore:
         now_s, pose = inputs.now_s, inputs.pose
         frames = self.link.step(now_s, inputs.frames)
         for source, message in self.link.take_messages():
-            self.role.handle(now_s, source, message, pose)
+            if isinstance(message, Bids):
+                self.team.bidding.came(now_s, message)
+            else:
+                self.role.handle(now_s, source, message, pose)
         self._integrate_received()
         if inputs.scan is not None and self.maps():
             self._integrate(self.team.without_peers(inputs.scan, pose, now_s), pose)
@@ -120,11 +123,7 @@ class RobotCore:
         self.explorer.budget.remaining_s = remaining
         point = self.role.regroup_point()
         self.explorer.budget.back_to = None if point is None else point - self._regroup_offset()
-        self.explorer.peer_goals = [
-            np.array(status.goal_m)
-            for status in map(self.link.peer_status, self.team.peer_ids)
-            if status is not None and status.goal_m is not None and inputs.now_s - status.stamp_s < 30.0
-        ]
+        self.explorer.peer_goals = self.team.peer_goals(inputs.now_s)
 
     def _regroup_offset(self) -> FloatArray:
         """Regrouping points are LiDAR positions of the ground robot; a flying one goes there itself."""
@@ -198,10 +197,10 @@ class RobotCore:
         return self._gated(now_s, pose, velocity)
 
     def _gated(self, now_s: float, pose: Pose, velocity: Velocity) -> Velocity:
-        """The command of a flying robot after the gate that keeps it clear of the walking ones."""
+        """The command of a flying robot after the gate that keeps it clear of the others."""
         if self.settings.kind != "aerial" or self.phase == Phase.TAKING_OFF:
             return velocity
-        return keep_clear(velocity, pose.position, self.team.walkers(now_s), self._may_fly_to)
+        return keep_clear(velocity, pose.position, self.team.others(now_s), self._may_fly_to)
 
     def _may_fly_to(self, point: FloatArray) -> bool:
         return bool(self.explorer.passable(point[None], point[None] + 1e-3)[0])
@@ -215,6 +214,7 @@ class RobotCore:
         plan: Plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, self.motion.plan)
         self._idle = 0 if len(plan.path) else self._idle + 1
         self.role.planned(now_s, self.phase, pose, plan)
+        self.team.bidding.planned(now_s, self.explorer.cycle.candidates, self.team.exploring_peers())
         self._log("plan", **described(plan))
         self._log("cycle", **self.explorer.cycle.described())
         return plan

@@ -61,3 +61,11 @@ def played(config: Config, world: World, seed: int = 1) -> tuple[Mission, list[E
     while not mission.done():
         mission.tick()
     return mission, events
+
+
+def flock(flyers: int, duration_s: float) -> Config:
+    """The shipped carrier with that many aerial robots on its back."""
+    config = team(mission={"duration_s": duration_s}, deployment=EAGER)
+    carrier, flyer = config.robots
+    aboard = [flyer.model_copy(update={"name": f"aerial-{i}", "id": 2 + i}) for i in range(flyers)]
+    return config.model_copy(update={"robots": (carrier, *aboard)})
