@@ -32,6 +32,7 @@ it there."""
 RETURN_CHECK_S = 1.0
 IDLE_CYCLES = 3
 LOOK_AGAIN_S = 10.0
+LINGER_S = 10.0
 WORTH_RESUMING_M3 = 10.0
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
 
@@ -63,6 +64,7 @@ class RobotCore:
         self._idle = 0
         self._return_checked_s = -np.inf
         self._must_return = False
+        self._near_since_s = np.inf
         self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
@@ -135,7 +137,7 @@ class RobotCore:
             nothing_left=self._idle >= IDLE_CYCLES,
             more=self._something_new(now_s, pose),
             must_return=self.phase in MOVING and self._must_go(now_s, pose),
-            arrived=self._arrived(pose),
+            arrived=self._arrived(now_s, pose),
         )
         following = next_phase(self.phase, facts)
         if following == self.phase:
@@ -173,15 +175,20 @@ class RobotCore:
             self._must_return = not self.explorer.affordable(here)
         return self._must_return
 
-    def _arrived(self, pose: Pose) -> bool:
+    def _arrived(self, now_s: float, pose: Pose) -> bool:
         target = self.explorer.budget.back_to
         if target is None or self.phase not in (Phase.RETURNING, Phase.WAITING):
+            self._near_since_s = now_s
             return False
         radius = self.team.config.mission.regroup_radius_m
         distance = float(np.linalg.norm(pose.position - target))
         settled = self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose))
         close = self.settings.kind == "ground" and distance <= radius / 2
-        return distance <= radius and (settled or close)
+        if distance > radius:
+            self._near_since_s = now_s
+        # where several robots meet, they keep each other from the very place
+        lingering = now_s - self._near_since_s > LINGER_S
+        return distance <= radius and (settled or close or lingering)
 
     def _move(self, now_s: float, pose: Pose) -> Velocity:
         if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.DONE):

@@ -1,4 +1,4 @@
-"""One carrier and three aerial robots: all are released one after the other, share the work and meet again."""
+"""One carrier and three aerial robots: released one after the other, they share the work and meet again."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ import pytest
 
 from onboard.mission import Phase
 from simulation.mission import Mission
-from tests.simulation.small_mission import Event, flock, played, room
+from tests.simulation.small_mission import Event, flock, played, quarters
 
 FLYERS = ("aerial-0", "aerial-1", "aerial-2")
 
 
 @pytest.fixture(scope="module")
 def flown() -> tuple[Mission, list[Event]]:
-    return played(flock(3, 150.0), room())
+    return played(flock(3, 100.0), quarters())
 
 
 def test_all_three_are_released_one_after_the_other_from_the_same_carrier(flown):
