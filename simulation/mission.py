@@ -14,7 +14,7 @@ from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory
 from onboard.robot.sensing import CLEARING_M
 from simulation.aerial_robot import AerialRobot
-from simulation.agent import Agent, bracket_pose, launch_pose
+from simulation.agent import Agent, bracket_of, bracket_pose, launch_pose
 from simulation.bodies import ContactCounter
 from simulation.radio import Radio
 from simulation.scene import Scene
@@ -65,7 +65,7 @@ class Mission:
 
         start = self._start
         if settings.kind == "aerial":
-            start = launch_pose(start, self.config.robots)
+            start = launch_pose(start, settings.id, self.config.robots)
         agent = Agent(self.config, settings, scene, seed, start, log, planner)
         carried = any(robot.kind == "ground" for robot in self.config.robots)
         if isinstance(agent.body, AerialRobot) and not carried:
@@ -122,16 +122,19 @@ class Mission:
     def _carry(self) -> None:
         for agent in self.agents:
             if isinstance(agent.body, AerialRobot) and agent.body.attached:
-                agent.body.carry(bracket_pose(self.lead.pose, self.lead.settings.size_m[2]))
+                place = bracket_of(agent.settings.id, self.config.robots)
+                agent.body.carry(bracket_pose(self.lead.pose, self.lead.settings.size_m[2], place))
 
     def _count_meetings(self) -> None:
-        """Contact between a flying robot and a ground robot's body."""
+        """Contact between a flying robot and the body of another robot."""
         for flyer in self.agents:
             released_s = self._released_s.get(flyer.settings.id)
             if released_s is None or self.now_s - released_s < SEPARATION_S:
                 continue
-            for carrier in self.carriers:
-                pose, size = carrier.box()
+            for other in self.agents:
+                if other is flyer:
+                    continue
+                pose, size = other.box()
                 local = np.abs(pose.rotation.T @ (flyer.pose.position - pose.position)) - np.array(size) / 2
                 gap = float(np.linalg.norm(np.maximum(local, 0.0))) - max(flyer.settings.size_m) / 2
                 if gap < 0:

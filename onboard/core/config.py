@@ -110,6 +110,8 @@ class DeploymentSettings(Section):
     min_rate_m3_s: Positive = 0.05
     min_volume_m3: Positive = 50.0
     debounce_cycles: Annotated[int, Field(ge=1)] = 3
+    hysteresis: NonNegative = 0.2
+    min_battery: Ratio = 0.6
     launch_s: NonNegative = 30.0
     keyframes_sent: Annotated[int, Field(ge=1)] = 300
     overhead_clearance_m: Positive = 0.8

@@ -116,7 +116,7 @@ class Explorer(Navigator):
         places = graph.points[views]
         gains = self.body.gains(self.map, places)
         self._add_frontiers(graph, views, gains)
-        wanted = gains * self._discount(places) * self._unvisited(places)
+        wanted = gains * self.left_by_peers(places) * self._unvisited(places)
         wanted[~self._refusals.allowed(now_s, places)] = 0.0
         speed = self.settings.speed_m_s
         choices = rank(graph, views, wanted, self._heading_rad, speed, self.settings.planner)
@@ -135,7 +135,7 @@ class Explorer(Navigator):
         nodes = np.array(sorted(graph.frontiers))
         places = graph.points[nodes]
         gains = np.array([graph.frontiers[int(node)] for node in nodes])
-        gains *= self._discount(places) * self._unvisited(places)
+        gains *= self.left_by_peers(places) * self._unvisited(places)
         gains[~self._refusals.allowed(now_s, places)] = 0.0
         times = self._distances_from(point)[nodes] / self.settings.speed_m_s
         gains[gains < self.settings.planner.frontier_m3] = 0.0
@@ -173,9 +173,8 @@ class Explorer(Navigator):
 
     def wanted(self, points: FloatArray) -> FloatArray:
         """Gains in m^3 (N,) that are left for this robot at reference points (N, 3), as the map is now."""
-        return np.asarray(
-            self.body.gains(self.map, points) * self._discount(points) * self._unvisited(points), np.float64
-        )
+        gains = self.body.gains(self.map, points) * self.left_by_peers(points) * self._unvisited(points)
+        return np.asarray(gains, np.float64)
 
     def review(self, now_s: float, point: FloatArray, current: Plan) -> str | None:
         """Why to plan anew at once while following a plan, see `rolling.review`."""
@@ -189,7 +188,7 @@ class Explorer(Navigator):
         """(M, 3) path of the last cycle from where the robot is now."""
         return self._join(point, path)
 
-    def _discount(self, points: FloatArray) -> FloatArray:
+    def left_by_peers(self, points: FloatArray) -> FloatArray:
         """Share of a gain (N,) that is left to this robot next to what its peers are heading for."""
         factor = np.ones(len(points))
         for goal in self.peer_goals:

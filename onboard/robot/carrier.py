@@ -65,6 +65,7 @@ class Carrier:
             shared=self._team.all_shared(),
             peer_clear=outcome == Outcome.DONE,
             aborted=outcome == Outcome.ABORTED,
+            aboard=bool(self._aboard),
             peers_arrived=self._team.peers_arrived(now_s),
             complete=self._team.all_received(),
         )
@@ -88,9 +89,12 @@ class Carrier:
                 take_off,
                 self._rng,
                 settings.launch_s,
+                team.explorer.left_by_peers,
             )
         ground = self._ground_gain(plan, settings.rule)
-        self._decision = self._trigger.evaluate(ground, self._outlook, team.remaining(now_s), pose)
+        status = team.link.peer_status(self._aboard[0].id)
+        charge = None if status is None else status.battery_ratio
+        self._decision = self._trigger.evaluate(ground, self._outlook, team.remaining(now_s), pose, charge)
         team.log(
             "trigger",
             fire=self._decision.fire,

@@ -26,7 +26,7 @@ from onboard.robot.sensing import Sensing
 from onboard.robot.soloist import Soloist
 from onboard.safety import keep_clear
 from onboard.sharing import LinkCore
-from onboard.sharing.messages import Status
+from onboard.sharing.messages import Bids, Status
 
 START_DISC_M = 3.0
 """The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets
@@ -34,6 +34,7 @@ it there."""
 RETURN_CHECK_S = 1.0
 IDLE_CYCLES = 3
 LOOK_AGAIN_S = 10.0
+LINGER_S = 10.0
 WORTH_RESUMING_M3 = 10.0
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
 
@@ -70,6 +71,7 @@ class RobotCore:
         self._idle = 0
         self._return_checked_s = -np.inf
         self._must_return = False
+        self._near_since_s = np.inf
         self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
@@ -93,7 +95,10 @@ class RobotCore:
         now_s, pose = inputs.now_s, inputs.pose
         frames = self.link.step(now_s, inputs.frames)
         for source, message in self.link.take_messages():
-            self.role.handle(now_s, source, message, pose)
+            if isinstance(message, Bids):
+                self.team.bidding.came(now_s, message)
+            else:
+                self.role.handle(now_s, source, message, pose)
         self._integrate_received()
         if inputs.scan is not None and self.maps():
             self._integrate(self.team.without_peers(inputs.scan, pose, now_s), pose)
@@ -133,11 +138,7 @@ class RobotCore:
         self.explorer.budget.remaining_s = remaining
         point = self.role.regroup_point()
         self.explorer.budget.back_to = None if point is None else point - self._regroup_offset()
-        self.explorer.peer_goals = [
-            np.array(status.goal_m)
-            for status in map(self.link.peer_status, self.team.peer_ids)
-            if status is not None and status.goal_m is not None and inputs.now_s - status.stamp_s < 30.0
-        ]
+        self.explorer.peer_goals = self.team.peer_goals(inputs.now_s)
 
     def _regroup_offset(self) -> FloatArray:
         """Regrouping points are LiDAR positions of the ground robot; a flying one goes there itself."""
@@ -149,7 +150,7 @@ class RobotCore:
             nothing_left=self._idle >= IDLE_CYCLES,
             more=self._something_new(now_s, pose),
             must_return=self.phase in MOVING and self._must_go(now_s, pose),
-            arrived=self._arrived(pose),
+            arrived=self._arrived(now_s, pose),
         )
         following = next_phase(self.phase, facts)
         if following == self.phase:
@@ -187,15 +188,20 @@ class RobotCore:
             self._must_return = not self.explorer.affordable(here)
         return self._must_return
 
-    def _arrived(self, pose: Pose) -> bool:
+    def _arrived(self, now_s: float, pose: Pose) -> bool:
         target = self.explorer.budget.back_to
         if target is None or self.phase not in (Phase.RETURNING, Phase.WAITING):
+            self._near_since_s = now_s
             return False
         radius = self.team.config.mission.regroup_radius_m
         distance = float(np.linalg.norm(pose.position - target))
         settled = self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose))
         close = self.settings.kind == "ground" and distance <= radius / 2
-        return distance <= radius and (settled or close)
+        if distance > radius:
+            self._near_since_s = now_s
+        # where several robots meet, they keep each other from the very place
+        lingering = now_s - self._near_since_s > LINGER_S
+        return distance <= radius and (settled or close or lingering)
 
     def _move(self, now_s: float, pose: Pose) -> Velocity:
         if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.DONE):
@@ -211,10 +217,10 @@ class RobotCore:
         return self._gated(now_s, pose, velocity)
 
     def _gated(self, now_s: float, pose: Pose, velocity: Velocity) -> Velocity:
-        """The command of a flying robot after the gate that keeps it clear of the walking ones."""
+        """The command of a flying robot after the gate that keeps it clear of the others."""
         if self.settings.kind != "aerial" or self.phase == Phase.TAKING_OFF:
             return velocity
-        return keep_clear(velocity, pose.position, self.team.walkers(now_s), self._may_fly_to)
+        return keep_clear(velocity, pose.position, self.team.others(now_s), self._may_fly_to)
 
     def _may_fly_to(self, point: FloatArray) -> bool:
         return bool(self.explorer.passable(point[None], point[None] + 1e-3)[0])
@@ -231,6 +237,7 @@ class RobotCore:
         starting = self.explorer.startup.active(now_s, pose.position)
         self._idle = 0 if len(plan.path) or starting else self._idle + 1
         self.role.planned(now_s, self.phase, pose, plan)
+        self.team.bidding.planned(now_s, self.explorer.cycle.candidates, self.team.exploring_peers())
         self._log("plan", **described(plan))
         self._log("cycle", **self.explorer.cycle.described())
         return plan
