@@ -109,9 +109,9 @@ def bracket_of(robot_id: int, robots: Sequence[RobotSettings]) -> int:
     return [robot.id for robot in robots if robot.kind == "aerial"].index(robot_id)
 
 
-def launch_pose(start: Pose, robot_id: int, robots: Sequence[RobotSettings]) -> Pose:
+def launch_pose(start: Pose, robots: Sequence[RobotSettings], place: int = 0) -> Pose:
     """Where an aerial robot's centre is at first: in the first ground robot's bracket, or on a stand."""
     for robot in robots:
         if robot.kind == "ground":
-            return bracket_pose(start, robot.size_m[2], bracket_of(robot_id, robots))
+            return bracket_pose(start, robot.size_m[2], place)
     return start.compose(Pose.from_rpy(np.array([0.0, 0.0, STAND_M])))

@@ -65,7 +65,7 @@ class Mission:
 
         start = self._start
         if settings.kind == "aerial":
-            start = launch_pose(start, settings.id, self.config.robots)
+            start = launch_pose(start, self.config.robots, bracket_of(settings.id, self.config.robots))
         agent = Agent(self.config, settings, scene, seed, start, log, planner)
         carried = any(robot.kind == "ground" for robot in self.config.robots)
         if isinstance(agent.body, AerialRobot) and not carried:

@@ -11,7 +11,7 @@ from onboard.core.config import Config, MapSettings, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.mission import Facts, Phase, next_phase
-from onboard.planning.aerial_graph import Area
+from onboard.planning.air_space import Area
 from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity

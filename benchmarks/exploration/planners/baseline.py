@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from onboard.core.config import MapSettings, RobotSettings
-from onboard.planning.aerial_graph import AirSpace, Area, air_space
+from onboard.planning.air_space import AirSpace, Area, air_space
 from onboard.planning.cycle import CHOSEN, Candidate, Cycle
 from onboard.planning.explorer import Explorer
 from onboard.planning.local_graph import FloatArray, polyline_length

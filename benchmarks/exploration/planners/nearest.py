@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from benchmarks.exploration.planners.baseline import Baseline
 from onboard.mapping.voxel_map import OCCUPIED, UNKNOWN
 from onboard.mapping.window import dense_window
-from onboard.planning.aerial_graph import AirSpace
+from onboard.planning.air_space import AirSpace
 from onboard.planning.cycle import Candidate
 from onboard.planning.local_graph import FloatArray, LocalGraph
 from onboard.planning.plan import NOTHING, Plan

@@ -26,7 +26,7 @@ from benchmarks.exploration.planners.rrg import grow_graph, unknown_on_rays, war
 from benchmarks.exploration.planners.sparse_map import SparseMap
 from onboard.core.config import MapSettings, RobotSettings
 from onboard.core.lidar import lidar_model
-from onboard.planning.aerial_graph import AirSpace, Area
+from onboard.planning.air_space import AirSpace, Area
 from onboard.planning.cycle import Candidate
 from onboard.planning.local_graph import FloatArray, polyline_length, resample
 from onboard.planning.plan import NOTHING, Plan
