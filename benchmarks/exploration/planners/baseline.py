@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+
 import numpy as np
 
 from onboard.core.config import MapSettings, RobotSettings
@@ -36,7 +38,7 @@ class AirView:
         return None
 
 
-class Baseline(Explorer):
+class Baseline(Explorer, ABC):
     """Map, global graph, way home and time budget of the product; `decide` is the planner under test."""
 
     def __init__(
@@ -50,9 +52,9 @@ class Baseline(Explorer):
         """Leave this goal alone for a while: the robot could not get there."""
         self.given_up.add(now_s, point)
 
+    @abstractmethod
     def decide(self, now_s: float, root: FloatArray) -> Plan:
         """The next path from `root` (3,), or NOTHING."""
-        raise NotImplementedError
 
     def worth_following(self, plan: Plan) -> bool:
         """Whether a free plan under way is followed on before its end."""
