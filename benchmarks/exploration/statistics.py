@@ -62,14 +62,18 @@ def summary(logs: Mapping[str, Sequence[float]]) -> Ratio:
     """
     values = [np.asarray(group, np.float64) for group in logs.values()]
     rng = np.random.default_rng(1)
-    draws = np.array([_draw(values, rng) for _ in range(DRAWS)])
-    low, high = np.percentile(draws, LEVEL)
+    low, high = np.percentile(_draws(values, rng), LEVEL)
     mean = float(np.mean([group.mean() for group in values]))
     count = sum(len(group) for group in values)
     return Ratio(float(np.exp(mean)), float(np.exp(low)), float(np.exp(high)), count)
 
 
-def _draw(values: list[Floats], rng: np.random.Generator) -> float:
-    chosen = rng.integers(0, len(values), len(values)) if len(values) > 1 else [0]
-    means = [values[w][rng.integers(0, len(values[w]), len(values[w]))].mean() for w in chosen]
-    return float(np.mean(means))
+def _draws(values: list[Floats], rng: np.random.Generator) -> Floats:
+    """(DRAWS,) means over drawn worlds of the means over seeds drawn in them."""
+    chosen = rng.integers(0, len(values), (DRAWS, len(values)))
+    means = np.empty(chosen.shape)
+    for world, seeds in enumerate(values):
+        places = chosen == world
+        drawn = rng.integers(0, len(seeds), (np.count_nonzero(places), len(seeds)))
+        means[places] = seeds[drawn].mean(axis=1)
+    return np.asarray(means.mean(axis=1))

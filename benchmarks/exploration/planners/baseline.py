@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
 import numpy as np
 
 from onboard.core.config import MapSettings, RobotSettings
+from onboard.core.geometry import wrap_angle
 from onboard.planning.air_space import AirSpace, Area, air_space
 from onboard.planning.cycle import CHOSEN, Candidate, Cycle
 from onboard.planning.explorer import Explorer
@@ -13,8 +17,22 @@ from onboard.planning.plan import Plan, Refusals, remaining_path
 
 LEAD_M = 0.8
 """Planning from the end of the path begins when this much of it is left, so that the robot need not stop."""
+DIRECTION_STEP_M, DIRECTION_SHARE = 0.75, 0.7
+"""The exploring direction turns by this share towards the motion, each time the robot has moved that far."""
 KEPT_CLEARANCE = 0.9
 COMFORT_M = 1.0
+
+
+@dataclass(frozen=True, eq=False)
+class KeptFrontier:
+    """A place (3,) worth going to: `path` (M, 3) leads there from a node of the global graph."""
+
+    node: int
+    path: FloatArray
+
+    @property
+    def place(self) -> FloatArray:
+        return np.asarray(self.path[-1])
 
 
 class AirView:
@@ -36,7 +54,7 @@ class AirView:
         return None
 
 
-class Baseline(Explorer):
+class Baseline(Explorer, ABC):
     """Map, global graph, way home and time budget of the product; `decide` is the planner under test."""
 
     def __init__(
@@ -45,14 +63,36 @@ class Baseline(Explorer):
         super().__init__(settings, map_settings, seed, area_m)
         self.area_m = area_m
         self.given_up = Refusals()
+        self.frontiers: list[KeptFrontier] = []
+        self.direction_rad = 0.0
+        self._direction_from: FloatArray | None = None
+
+    def begin(self, point: FloatArray, heading_rad: float) -> None:
+        """Start the global graph at the robot's reference point (3,)."""
+        super().begin(point, heading_rad)
+        self.direction_rad, self._direction_from = heading_rad, point
+
+    def observe(self, point: FloatArray) -> None:
+        """The robot is at this reference point (3,): its exploring direction follows its motion."""
+        super().observe(point)
+        assert self._direction_from is not None
+        moved = point[:2] - self._direction_from[:2]
+        if np.hypot(*moved) >= DIRECTION_STEP_M:
+            turn = wrap_angle(float(np.arctan2(moved[1], moved[0])) - self.direction_rad)
+            self.direction_rad += DIRECTION_SHARE * turn
+            self._direction_from = point
+
+    def review(self, now_s: float, point: FloatArray, plan: Plan) -> str | None:
+        """Nothing outdates a plan before its end; what blocks it is the collision monitor's business."""
+        return None
 
     def refuse(self, now_s: float, point: FloatArray) -> None:
         """Leave this goal alone for a while: the robot could not get there."""
         self.given_up.add(now_s, point)
 
+    @abstractmethod
     def decide(self, now_s: float, root: FloatArray) -> Plan:
         """The next path from `root` (3,), or NOTHING."""
-        raise NotImplementedError
 
     def worth_following(self, plan: Plan) -> bool:
         """Whether a free plan under way is followed on before its end."""
@@ -89,6 +129,29 @@ class Baseline(Explorer):
             if candidate.plan is considered:
                 candidate.verdict = CHOSEN
         return taken
+
+    def keep(self, path: FloatArray) -> None:
+        """Remember a path (M, 3) to a frontier, with the node of the global graph that it began at."""
+        assert self.graph is not None
+        node = self.graph.here
+        self.frontiers.append(KeptFrontier(node, np.concatenate([self.graph.points[[node]], path])))
+
+    def kept_distances(self) -> FloatArray:
+        """(N,) metres over the global graph to the remembered frontiers, inf where it does not reach."""
+        assert self.graph is not None
+        along = self.graph.distances(self.graph.here)
+        return np.array([along[one.node] + polyline_length(one.path) for one in self.frontiers])
+
+    def way_to(self, point: FloatArray, frontier: KeptFrontier) -> FloatArray | None:
+        """(M, 3) way from the robot's place (3,) to a remembered frontier, None where it is blocked."""
+        assert self.graph is not None
+        path = frontier.path
+        if self.body.blocked(self.map, path[:-1], path[1:]).any():
+            return None
+        if frontier.node == self.graph.here:
+            return np.concatenate([point[None], path])
+        route = self.route_to(point, frontier.node)
+        return None if route is None else np.concatenate([route, path[1:]])
 
     def space_around(self, point: FloatArray) -> AirSpace:
         """Where the body may be in the planning window around a point (3,)."""

@@ -103,9 +103,10 @@ class NearestFrontier(Baseline):
         return paths
 
     def _remember(self, paths: list[FloatArray]) -> None:
-        assert self.graph is not None
         for path in paths[1:]:
-            self.graph.add_path(path, 1.0, self._visible)
+            known = [np.linalg.norm(one.place - path[-1]) for one in self.frontiers]
+            if min(known, default=np.inf) > 2 * CLOSE_M:
+                self.keep(path)
 
     def _go(self, now_s: float, path: FloatArray, kind: str) -> Plan:
         """The way to a frontier; a goal that is chosen again and again is left alone for a while."""
@@ -129,18 +130,14 @@ class NearestFrontier(Baseline):
 
     def _remembered(self, now_s: float, root: FloatArray) -> Plan:
         """Route to the nearest remembered frontier that is still one."""
-        assert self.graph is not None
-        nodes = np.array(sorted(self.graph.frontiers), np.int64)
-        if len(nodes) == 0:
+        self.frontiers = [one for one in self.frontiers if self._alive(one.path[-1:])[0]]
+        if not self.frontiers:
             return NOTHING
-        places = self.graph.points[nodes]
-        alive = self._alive(places)
-        for node in nodes[~alive]:
-            del self.graph.frontiers[int(node)]
-        alive &= self.given_up.allowed(now_s, places)
-        distances = np.where(alive, self.graph.distances(self.graph.here)[nodes], np.inf)
+        places = np.stack([frontier.place for frontier in self.frontiers])
+        distances = np.where(self.given_up.allowed(now_s, places), self.kept_distances(), np.inf)
         for index in np.argsort(distances, kind="stable"):
-            route = self.route_to(root, int(nodes[index])) if np.isfinite(distances[index]) else None
+            reachable = bool(np.isfinite(distances[index]))
+            route = self.way_to(root, self.frontiers[index]) if reachable else None
             if route is not None:
                 return self._go(now_s, route, "global")
         return NOTHING

@@ -21,7 +21,13 @@ from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
-from benchmarks.exploration.planners.baseline import AirView, Baseline, nearest_allowed, pull_straight
+from benchmarks.exploration.planners.baseline import (
+    AirView,
+    Baseline,
+    KeptFrontier,
+    nearest_allowed,
+    pull_straight,
+)
 from benchmarks.exploration.planners.rrg import grow_graph, unknown_on_rays, warping_distance
 from benchmarks.exploration.planners.sparse_map import SparseMap
 from onboard.core.config import MapSettings, RobotSettings
@@ -93,7 +99,6 @@ class Parity(Baseline):
         elevations = lidar_model(settings.lidar.model).elevations_rad
         self._rays = ray_fan(float(elevations.min()), float(elevations.max()), self.rules.ray_step_rad)
         self._samples = np.random.default_rng([seed, settings.id, 4])
-        self._frontiers: dict[int, float] = {}
         self._low_gain = 0
 
     def decide(self, now_s: float, root: FloatArray) -> Plan:
@@ -168,7 +173,7 @@ class Parity(Baseline):
         if length < self.rules.path_min_m:
             return 0.0
         samples = resample(path, self.rules.warping_step_m)
-        ahead = np.array([np.cos(self._heading_rad), np.sin(self._heading_rad), 0.0])
+        ahead = np.array([np.cos(self.direction_rad), np.sin(self.direction_rad), 0.0])
         reference = path[0] + np.linspace(0.0, length, len(samples))[:, None] * ahead
         penalty = warping_distance(samples, reference) / length**2
         return float(np.exp(-self.rules.direction_penalty * penalty))
@@ -188,43 +193,45 @@ class Parity(Baseline):
 
     def _keep_frontiers(self, tree: _Tree, shares: FloatArray) -> None:
         """Keep the ways to leaves that are frontiers, longest first, where nothing of the kind is known."""
-        assert self.graph is not None
         lengths = tree.lengths_m[tree.leaves]
         wanted = (shares >= self.rules.frontier_share) & (lengths >= self.rules.frontier_path_m)
         for index in np.flatnonzero(wanted)[np.argsort(-lengths[wanted], kind="stable")]:
             leaf = int(tree.leaves[index])
             place = tree.points[leaf]
             trail_m = np.linalg.norm(np.stack(self.trail) - place, axis=1).min()
-            if self.graph.nearest(place)[1] < self.rules.frontier_apart_m:
-                continue
-            if trail_m < self.rules.frontier_unvisited_m:
-                continue
-            node = self.graph.add_path(tree.path(leaf), float(shares[index]), self._visible)
-            if node is not None:
-                self._frontiers[node] = float(shares[index])
+            kept = [np.linalg.norm(one.path - place, axis=1).min() for one in self.frontiers]
+            apart = min(kept, default=np.inf) >= self.rules.frontier_apart_m
+            if apart and trail_m >= self.rules.frontier_unvisited_m:
+                self.keep(tree.path(leaf))
 
     def _reposition(self, now_s: float, root: FloatArray) -> Plan | None:
         """Route to the global frontier with the best score among those from which home is in reach."""
-        assert self.graph is not None
-        nodes = np.array(sorted(self._frontiers), np.int64)
-        if len(nodes) == 0:
+        if not self.frontiers:
             return None
-        places = self.graph.points[nodes]
+        places = np.stack([frontier.place for frontier in self.frontiers])
         shares = self.unknown_shares(places)
         alive = shares >= self.rules.frontier_share
-        self._frontiers = {int(n): float(s) for n, s in zip(nodes[alive], shares[alive], strict=True)}
-        alive &= self.given_up.allowed(now_s, places)
-        slack_s = self.budget.remaining_s - np.array([self.return_time(place) for place in places])
-        distances = self.graph.distances(self.graph.here)[nodes]
-        alive &= (slack_s >= self.rules.home_slack_s) & np.isfinite(distances)
+        self.frontiers = [one for one, keep in zip(self.frontiers, alive, strict=True) if keep]
+        shares, places = shares[alive], places[alive]
+        if not self.frontiers:
+            return None
+        distances = self.kept_distances()
+        slack_s = self.budget.remaining_s - np.array([self._home_s(one) for one in self.frontiers])
+        alive = self.given_up.allowed(now_s, places) & (slack_s >= self.rules.home_slack_s)
+        alive &= np.isfinite(distances)
         nearness = np.exp(-self.rules.global_penalty * np.where(alive, distances, 0.0))
         scores = np.where(alive, self.gains(shares) * nearness * slack_s, 0.0)
         for index in np.argsort(-scores, kind="stable"):
-            route = self.route_to(root, int(nodes[index])) if scores[index] > 0 else None
+            route = self.way_to(root, self.frontiers[index]) if scores[index] > 0 else None
             if route is not None:
                 self._low_gain = 0
                 return self._weighed(route, "global", float(shares[index]))
         return None
+
+    def _home_s(self, frontier: KeptFrontier) -> float:
+        """Seconds home from a remembered frontier, back along the way to it."""
+        along_s = polyline_length(frontier.path) / self.settings.speed_m_s
+        return along_s + self.return_time(frontier.path[0])
 
 
 class SparseParity(Parity):
