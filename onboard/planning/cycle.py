@@ -44,6 +44,8 @@ class Cycle:
     stages_ms: dict[str, float] = field(default_factory=dict)
     candidates: list[Candidate] = field(default_factory=list)
     choice: Plan = NOTHING
+    left: dict[str, float] = field(default_factory=dict)
+    """When nothing was chosen: volume in m^3 that frontiers promise, by why none of them is gone to."""
 
     def described(self) -> dict[str, Any]:
         """Plain data for the event log."""
@@ -53,4 +55,5 @@ class Cycle:
             "counts": dict(self.counts),
             "stages_ms": {name: round(value, 2) for name, value in self.stages_ms.items()},
             "candidates": [candidate.described() for candidate in self.candidates],
+            **({"left": self.left} if self.left else {}),
         }

@@ -16,6 +16,7 @@ from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
+from onboard.planning.worth import PeerGoal
 from onboard.robot.carrier import Carrier
 from onboard.robot.flyer import Flyer
 from onboard.robot.interface import Inputs, Log, Outputs, Profile
@@ -63,6 +64,7 @@ class RobotCore:
         self._idle = 0
         self._return_checked_s = -np.inf
         self._must_return = False
+        self._way_blocked = False
         self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
@@ -121,9 +123,9 @@ class RobotCore:
         point = self.role.regroup_point()
         self.explorer.budget.back_to = None if point is None else point - self._regroup_offset()
         self.explorer.peer_goals = [
-            np.array(status.goal_m)
+            PeerGoal(np.array(status.goal_m), max(0.0, inputs.now_s - status.stamp_s))
             for status in map(self.link.peer_status, self.team.peer_ids)
-            if status is not None and status.goal_m is not None and inputs.now_s - status.stamp_s < 30.0
+            if status is not None and status.goal_m is not None
         ]
 
     def _regroup_offset(self) -> FloatArray:
@@ -161,15 +163,18 @@ class RobotCore:
         plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, None)
         return bool(plan.gain_m3 >= WORTH_RESUMING_M3)
 
-    def _why(self, facts: Facts) -> dict[str, str]:
+    def _why(self, facts: Facts) -> dict[str, object]:
         if self.phase not in MOVING or facts.fire:
             return {}
-        return {"reason": "time to return" if facts.must_return else "nothing left to explore"}
+        if facts.must_return:
+            return {"reason": "time to return"}
+        return {"reason": "nothing left to explore", "left_m3": self.explorer.left}
 
     def _must_go(self, now_s: float, pose: Pose) -> bool:
         """Once a second: does the way back need all the time that is left?"""
         if now_s - self._return_checked_s >= RETURN_CHECK_S and self.explorer.graph is not None:
             self._return_checked_s = now_s
+            self.explorer.verify_ways()
             here = Plan(pose.position[None], "here")
             self._must_return = not self.explorer.affordable(here)
         return self._must_return
@@ -225,9 +230,17 @@ class RobotCore:
         target = self.explorer.budget.back_to
         assert target is not None
         plan = self.explorer.go_to(pose.position, target)
+        self._report_way_back(pose)
         if self.settings.kind == "ground" or len(plan.path) == 0:
             return plan
         return self.explorer.stop_short(plan, self.team.config.mission.regroup_radius_m * 0.7)
+
+    def _report_way_back(self, pose: Pose) -> None:
+        """Tell when the way back begins or ceases to look blocked: then the robot gets as near as it can,
+        holds there and looks again."""
+        if self.explorer.way_blocked != self._way_blocked:
+            self._way_blocked = self.explorer.way_blocked
+            self._log("way_back", blocked=self._way_blocked, position=vector(pose.position))
 
     def _status(self, inputs: Inputs) -> Status:
         plan = self.motion.plan
