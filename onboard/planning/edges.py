@@ -16,8 +16,11 @@ Edge = tuple[int, int]
 Blocked = Callable[[FloatArray, FloatArray], NDArray[np.bool_]]
 """Whether something known is in the body's way (N,) on straight ways (N, 3) -> (N, 3)."""
 
-DEAR = 4.0
-"""Cost factor of a way that was walked once and looks blocked now: a last resort, never forgotten."""
+DEAR_M = 20.0
+"""What a way that was walked once and looks blocked now costs more: a last resort, never forgotten.
+
+One voxel of noise blocks one or two ways, a closed door three: detours of that length are taken instead.
+"""
 
 
 @dataclass(slots=True)
@@ -33,7 +36,7 @@ class Way:
         """Metres that a route is charged: infinitely many where it looks blocked and nobody has gone."""
         if not self.blocked:
             return self.length_m
-        return DEAR * self.length_m if self.walked else np.inf
+        return self.length_m + DEAR_M if self.walked else np.inf
 
 
 class Edges:

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.sparse.csgraph import dijkstra
 
-from onboard.planning.edges import DEAR, Blocked, Edges, ordered
+from onboard.planning.edges import DEAR_M, Blocked, Edges, ordered
 from onboard.planning.local_graph import FloatArray, resample
 
-__all__ = ["DEAR", "LINK_M", "NODE_SPACING_M", "GlobalGraph", "Visible"]
+__all__ = ["DEAR_M", "LINK_M", "NODE_SPACING_M", "GlobalGraph", "Visible"]
 
 Visible = Callable[[FloatArray, FloatArray], bool]
 """Whether the robot can go straight between two reference points."""
@@ -130,8 +130,8 @@ class GlobalGraph:
     def verify(self, changed: Iterable[int], blocked: Blocked) -> int:
         """Test the edges in these blocks of the map again, and the new ones; returns how many.
 
-        An edge that looks blocked costs infinitely much, or DEAR times its length where the robot once went;
-        it costs its length again as soon as the map shows nothing there.
+        An edge that looks blocked costs infinitely much, or DEAR_M more where the robot once went; it costs
+        its length again as soon as the map shows nothing there.
         """
         new = [edge for edge in self._untested if edge in self.edges.ways]
         edges = sorted({*self.edges.touching(changed), *new})

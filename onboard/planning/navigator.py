@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -104,16 +106,20 @@ class Navigator:
         return Plan(path, "route", time_s=travel_time(path, self.settings.speed_m_s))
 
     def _over_graph(self, point: FloatArray, target: FloatArray, radius_m: float) -> FloatArray | None:
-        """Way to the node nearest to the target that can be reached; beyond the radius only if that brings
-        the robot nearer, where it holds and looks again."""
+        """Way to the node within the radius from which the target is reached soonest.
+
+        Without any: to the node nearest to it, if that brings the robot nearer; there it holds and looks
+        again.
+        """
         assert self.graph is not None
         self.verify_ways()
         offsets = np.linalg.norm(self.graph.points - target, axis=1)
-        offsets[~np.isfinite(self.times_from_here(point))] = np.inf
-        node = int(np.argmin(offsets))
-        if offsets[node] <= radius_m:
-            return self.route_to(point, node)
-        path = None
+        times = self.times_from_here(point)
+        arrival = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
+        if np.isfinite(arrival.min()):
+            return self.route_to(point, int(np.argmin(arrival)))
+        offsets[~np.isfinite(times)] = np.inf
+        node, path = int(np.argmin(offsets)), None
         if offsets[node] < np.linalg.norm(target - point) - APPROACH_M:
             path = self.route_to(point, node)
         self.way_blocked = True
@@ -136,6 +142,18 @@ class Navigator:
         offsets = np.linalg.norm(self.graph.points[None] - targets[:, None], axis=2)
         near = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
         return np.asarray(near.min(axis=1))
+
+    def time_through(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> float:
+        """Seconds from the robot at a reference point (3,) through targets (K, 3), in this order."""
+        assert self.graph is not None
+        total = float(self.times_to(point, targets[:1], radius_m)[0])
+        for start, end in pairwise(targets):
+            node, _ = self.graph.nearest(start)
+            times = times_over_graph(self.graph, (node,), self.settings)
+            offsets = np.linalg.norm(self.graph.points - end, axis=1)
+            near = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
+            total += float(near.min())
+        return total
 
     def times_from_here(self, point: FloatArray) -> FloatArray:
         """Seconds (N,) from the robot at a reference point (3,) to the nodes of the global graph."""

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onboard.mapping.store import block_keys_of_box
-from onboard.planning.global_graph import DEAR, DETOUR, LINK_M, NODE_SPACING_M, GlobalGraph
+from onboard.planning.global_graph import DEAR_M, DETOUR, LINK_M, NODE_SPACING_M, GlobalGraph
 
 BLOCK_M = 1.6
 
@@ -46,7 +46,9 @@ graphs = st.tuples(
 
 def built(nodes: int, edges: list[tuple[int, int]], seed: int) -> tuple[GlobalGraph, np.ndarray]:
     """A graph of random places with given edges, and its all-pairs distances (Floyd and Warshall)."""
-    places = np.random.default_rng(seed).uniform(-8, 8, (nodes, 3))
+    rng = np.random.default_rng(seed)
+    grid = 4.0 * np.array([(x, y, 0) for x in range(3) for y in range(3)])
+    places = rng.permutation(grid)[:nodes] + rng.uniform(-1.5, 1.5, (nodes, 3))
     graph = GlobalGraph(places[0])
     nothing = np.zeros(nodes - 1, bool)
     graph.add_chain(places[1:], lambda starts, ends: nothing[: len(starts)])
@@ -138,7 +140,7 @@ def test_a_blocked_trail_becomes_dear_and_is_itself_again_when_free():
     graph.verify(everywhere(graph), wall(at(5)))
     after = graph.distances(0)
     assert after[:3] == pytest.approx(before[:3])
-    assert after[3:] == pytest.approx(before[3:] + (DEAR - 1) * 2.0)
+    assert after[3:] == pytest.approx(before[3:] + DEAR_M)
     assert graph.route(0, 5) == [0, 1, 2, 3, 4, 5]
     assert graph.looks_blocked([0, 1, 2, 3])
     assert not graph.looks_blocked([0, 1, 2])
