@@ -16,11 +16,13 @@ Edge = tuple[int, int]
 Blocked = Callable[[FloatArray, FloatArray], NDArray[np.bool_]]
 """Whether something known is in the body's way (N,) on straight ways (N, 3) -> (N, 3)."""
 
-DEAR_M = 20.0
+DEAR_M = 30.0
 """What a way that was walked once and looks blocked now costs more: a last resort, never forgotten.
 
-One voxel of noise blocks one or two ways, a closed door three: detours of that length are taken instead.
+A voxel of noise blocks one or two ways, a closed door three: detours of so many times this are taken instead.
 """
+SLOW = 4.0
+"""Such a way takes so many times longer, feeling the way past what is there."""
 
 
 @dataclass(slots=True)
@@ -37,6 +39,11 @@ class Way:
         if not self.blocked:
             return self.length_m
         return self.length_m + DEAR_M if self.walked else np.inf
+
+    @property
+    def travel_m(self) -> float:
+        """Metres that take as long as this way does if it is taken."""
+        return SLOW * self.length_m if self.blocked else self.length_m
 
 
 class Edges:
@@ -78,6 +85,10 @@ class Edges:
                 del self._in_block[key]
         self._neighbours[edge[0]].discard(edge[1])
         self._neighbours[edge[1]].discard(edge[0])
+
+    def blocked(self) -> list[Edge]:
+        """The ways that look blocked now."""
+        return [edge for edge, way in self.ways.items() if way.blocked]
 
     def touching(self, changed: Iterable[int]) -> list[Edge]:
         """The ways entered in any of these blocks, in ascending order."""

@@ -8,6 +8,7 @@ from onboard.core.config import MapSettings, RobotSettings
 from onboard.mapping.voxel_map import OWN
 from onboard.planning.aerial_graph import Area
 from onboard.planning.cycle import CHOSEN, LOWER, TOO_LATE, Candidate, Cycle
+from onboard.planning.frontiers import LEAVE
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin
 from onboard.planning.navigator import Navigator
 from onboard.planning.plan import NOTHING, Plan, remaining_path
@@ -152,7 +153,7 @@ class Explorer(Navigator):
             return None
         discount = self.prospects.discount(rest[-1:])
         gain = float((self.prospects.gains(rest[-1:]) * discount)[0])
-        if gain < self.settings.planner.frontier_m3:
+        if gain < LEAVE * self.settings.planner.frontier_m3:
             return None
         choice = score_path(rest, gain, self.heading_rad, self.settings.speed_m_s, self.settings.planner)
         plan = Plan(choice.path, current.kind, choice.gain_m3, choice.score, choice.time_s)

@@ -23,6 +23,7 @@ RETURN_RADIUS_M = 3.0
 BLOCK_VOXELS = 8
 APPROACH_M = 1.0
 JOINED = 8
+TRIED_BEHIND = 4
 
 
 class Navigator:
@@ -85,7 +86,25 @@ class Navigator:
         self.verify_ways()
         nodes = graph.route(graph.here, target)
         self.way_blocked = not nodes or graph.looks_blocked(nodes)
+        if self.way_blocked and nodes:
+            around = self._around(nodes)
+            if around is not None:
+                return self._start_at(point, around)
         return self._join(point, graph.points[nodes]) if nodes else None
+
+    def _around(self, nodes: list[int]) -> FloatArray | None:
+        """Way past what blocks a route, where the local graph reaches a place behind it; else None."""
+        graph = self.graph
+        assert graph is not None
+        if self.local is None:
+            return None
+        legs = [leg for leg in range(len(nodes) - 1) if graph.looks_blocked(nodes[leg : leg + 2])]
+        for behind in range(legs[-1] + 1, min(legs[-1] + 1 + TRIED_BEHIND, len(nodes))):
+            near = self.local.reach(graph.points[nodes[behind]], 0.5)
+            if near is not None:
+                self.way_blocked = False
+                return np.concatenate([near, graph.points[nodes[behind + 1 :]]])
+        return None
 
     def go_to(self, point: FloatArray, target: FloatArray, radius_m: float = 2.0) -> Plan:
         """Plan to a reference point (3,): straight through the local graph when it reaches, else over the

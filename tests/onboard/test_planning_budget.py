@@ -9,11 +9,12 @@ from hypothesis import strategies as st
 
 from onboard.core.config import MapSettings
 from onboard.planning.budget import DOCKING_S, Budget
+from onboard.planning.edges import SLOW
 from onboard.planning.explorer import Explorer
-from onboard.planning.global_graph import DEAR_M, GlobalGraph
+from onboard.planning.global_graph import GlobalGraph
 from onboard.planning.homing import FREE_TURN_RAD, times_over_graph
 from onboard.planning.plan import Plan
-from tests.onboard.air_scenes import hollow, wall
+from tests.onboard.air_scenes import Corner, hollow, wall
 from tests.onboard.test_planning_deployment import FLYER
 
 seconds = st.floats(0, 1e4)
@@ -69,10 +70,14 @@ def test_times_are_those_of_the_ways_and_of_what_their_turns_exceed(corners):
         assert times[node] == pytest.approx(lengths.sum() / 1.0 + extra / FLYER.yaw_rate_rad_s, abs=1e-6)
 
 
-def flown(*corners: tuple[float, float], remaining_s: float = np.inf) -> Explorer:
+def flown(
+    *corners: tuple[float, float],
+    remaining_s: float = np.inf,
+    rooms: tuple[tuple[Corner, Corner], ...] = RING,
+) -> Explorer:
     """A flying robot that went along these corners from HOME, and has to be back there."""
     robot = Explorer(FLYER, MapSettings(), seed=1)
-    robot.map = hollow(*RING)
+    robot.map = hollow(*rooms)
     robot.begin(HOME, 0.0)
     robot.budget.back_to, robot.budget.remaining_s = HOME, remaining_s
     at = HOME
@@ -103,6 +108,15 @@ def test_a_blocked_way_home_is_flown_around_and_its_length_counts_at_once():
     assert not robot.path_blocked(path, np.inf)
 
 
+def test_what_stands_in_the_way_but_leaves_room_is_passed_locally():
+    robot = flown((16.0, 1.0), rooms=(((0.0, -2.0, 0.0), (20.0, 4.0, 3.0)),))
+    wall(robot.map, (7.0, 0.6, 0.0), (7.4, 1.4, 3.0))
+    plan = robot.go_to(np.array([16.0, 1.0, 1.5]), HOME)
+    assert plan.kind == "route"
+    assert not robot.way_blocked
+    assert not robot.path_blocked(plan.path, np.inf)
+
+
 def test_where_nothing_leads_around_the_robot_says_so_and_has_turned_back_in_time():
     robot = flown((19.0, 1.0), (19.0, 9.0), remaining_s=200.0)
     here = Plan(FAR[None], "here")
@@ -110,7 +124,7 @@ def test_where_nothing_leads_around_the_robot_says_so_and_has_turned_back_in_tim
     wall(robot.map, (8.0, 0.0, 0.0), (8.4, 2.0, 3.0))
     robot.verify_ways()
     blocked_s = robot.return_time(FAR)
-    assert blocked_s > 26.0 + DEAR_M  # what looks blocked is not counted as free
+    assert blocked_s > 26.0 + (SLOW - 1) * 0.9  # what looks blocked is not counted as free
     plan = robot.go_to(FAR, HOME)
     assert robot.way_blocked
     assert len(plan.path) > 0  # as near as it gets; the monitor stops it in front of the wall
