@@ -51,17 +51,18 @@ def review(explorer: Explorer, now_s: float, point: FloatArray, current: Plan) -
     The plan's own gain and those of the best rivals of the last cycle are computed again on the newest map,
     and their ways measured from here; the graph is the last one.
     """
-    kept = explorer.kept_from(point, current)
-    if kept is None:
+    candidate = explorer.kept_from(point, current)
+    if candidate is None:
         return POINTLESS
+    kept = candidate.plan
     if kept.gain_m3 < (1 - REALISED) * current.gain_m3:
         return SEEN
     rivals = [
-        candidate.plan
-        for candidate in explorer.cycle.candidates
-        if candidate.verdict in (LOWER, CHOSEN)
-        and len(candidate.plan.path) > 1
-        and np.linalg.norm(candidate.plan.goal - current.goal) > SAME_GOAL_M
+        rival.plan
+        for rival in explorer.cycle.candidates
+        if rival.verdict in (LOWER, CHOSEN)
+        and len(rival.plan.path) > 1
+        and np.linalg.norm(rival.plan.goal - current.goal) > SAME_GOAL_M
     ]
     rivals = sorted(rivals, key=lambda plan: -plan.score)[:RIVALS]
     limit = kept.score * explorer.settings.planner.switch_gain

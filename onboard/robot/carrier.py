@@ -151,11 +151,7 @@ class Carrier:
         match message:
             case Propose():
                 point = np.array(message.position_m)
-                times = self._team.explorer.times_to(
-                    pose.position, (point - self._team.explorer.body.mount)[None]
-                )
-                feasible = bool(times[0] * 1.15 + 20.0 < self._team.remaining(now_s))
-                if self._acceptor.proposed(message.epoch, point, feasible):
+                if self._acceptor.proposed(message.epoch, point, self._can_hold(pose, point)):
                     self._team.link.post(Ack(message.epoch), source)
                     self._doubt_since_s = now_s if self._acceptor.in_doubt else None
             case Commit():
@@ -165,6 +161,13 @@ class Carrier:
                     self._team.log("regroup", position=message.position_m, epoch=message.epoch)
             case _:
                 pass
+
+    def _can_hold(self, pose: Pose, point: FloatArray) -> bool:
+        """Whether there is time to look for the other robot at a new point (3,), wait, and then go to the
+        point agreed on before: in doubt it may be at either."""
+        explorer = self._team.explorer
+        places = np.stack([point, self._acceptor.points[0]]) - explorer.body.mount
+        return explorer.budget.affords(DOUBT_WAIT_S, explorer.time_through(pose.position, places))
 
     def tick(self, now_s: float, phase: Phase, pose: Pose) -> None:
         """Offer travel times to the own keyframes, and after a fruitless wait try the other doubtful

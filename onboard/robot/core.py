@@ -72,6 +72,7 @@ class RobotCore:
         self._return_checked_s = -np.inf
         self._must_return = False
         self._near_since_s = np.inf
+        self._way_blocked = False
         self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
@@ -175,15 +176,18 @@ class RobotCore:
         plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, None)
         return bool(plan.gain_m3 >= WORTH_RESUMING_M3)
 
-    def _why(self, facts: Facts) -> dict[str, str]:
+    def _why(self, facts: Facts) -> dict[str, object]:
         if self.phase not in MOVING or facts.fire:
             return {}
-        return {"reason": "time to return" if facts.must_return else "nothing left to explore"}
+        if facts.must_return:
+            return {"reason": "time to return"}
+        return {"reason": "nothing left to explore", "left_m3": self.explorer.left}
 
     def _must_go(self, now_s: float, pose: Pose) -> bool:
         """Once a second: does the way back need all the time that is left?"""
         if now_s - self._return_checked_s >= RETURN_CHECK_S and self.explorer.graph is not None:
             self._return_checked_s = now_s
+            self.explorer.verify_ways()
             here = Plan(pose.position[None], "here")
             self._must_return = not self.explorer.affordable(here)
         return self._must_return
@@ -248,9 +252,17 @@ class RobotCore:
         target = self.explorer.budget.back_to
         assert target is not None
         plan = self.explorer.go_to(pose.position, target)
+        self._report_way_back(pose)
         if self.settings.kind == "ground" or len(plan.path) == 0:
             return plan
         return self.explorer.stop_short(plan, self.team.config.mission.regroup_radius_m * 0.7)
+
+    def _report_way_back(self, pose: Pose) -> None:
+        """Tell when the way back begins or ceases to look blocked: then the robot gets as near as it can,
+        holds there and looks again."""
+        if self.explorer.way_blocked != self._way_blocked:
+            self._way_blocked = self.explorer.way_blocked
+            self._log("way_back", blocked=self._way_blocked, position=vector(pose.position))
 
     def _status(self, inputs: Inputs) -> Status:
         plan = self.motion.plan

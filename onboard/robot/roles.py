@@ -14,6 +14,7 @@ from onboard.mission import AT_REGROUP, FLYING, Facts, Phase
 from onboard.planning.explorer import Explorer
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
+from onboard.planning.worth import PeerGoal
 from onboard.robot.bidding import Bidding
 from onboard.robot.interface import Log, Profile
 from onboard.robot.sensing import Sensing
@@ -22,7 +23,6 @@ from onboard.sharing.messages import Message, Vector
 
 PEER_MARGIN_M = 0.3
 KEEP_CLEAR_M = 0.4
-GOAL_AGE_S = 30.0
 
 
 class Team:
@@ -99,14 +99,14 @@ class Team:
         """Peers that explore by themselves, whether in contact or not."""
         return [peer for peer in self.peer_ids if self.peer_phase(peer) not in (None, Phase.CARRIED)]
 
-    def peer_goals(self, now_s: float) -> list[FloatArray]:
-        """Places (3,) that peers are heading for or have won in the auction."""
+    def peer_goals(self, now_s: float) -> list[PeerGoal]:
+        """Places that peers are heading for or have won in the auction."""
         statuses = [self.link.peer_status(peer) for peer in self.peer_ids]
         return [
-            np.array(status.goal_m)
+            PeerGoal(np.array(status.goal_m), max(0.0, now_s - status.stamp_s))
             for status in statuses
-            if status is not None and status.goal_m is not None and now_s - status.stamp_s < GOAL_AGE_S
-        ] + self.bidding.taken(now_s)
+            if status is not None and status.goal_m is not None
+        ] + [PeerGoal(place) for place in self.bidding.taken(now_s)]
 
     def others(self, now_s: float) -> list[tuple[FloatArray, float]]:
         """Body centres (3,) of peers in contact that walk or fly, and the distance to keep, in metres."""
