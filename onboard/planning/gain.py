@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from onboard.core.errors import InputError
 from onboard.core.lidar import LidarModel
 from onboard.mapping.voxel_map import VoxelMap
-from onboard.planning.gain_window import Bounds, Cells, GainWindow
+from onboard.planning.gain_window import Bounds, Cells, GainWindow, table_place
 from onboard.planning.ray_template import (
     MASK_X,
     MASK_Y,
@@ -129,6 +129,19 @@ class GainModel:
 
 
 @njit(cache=True, nogil=True)
+def _collect(met: NDArray[np.bool_], x: int, y: int, z: int, reach: int, bits: Words) -> None:
+    """Move flags of table places to the bits of a cube around this block."""
+    number = 0
+    for block_z in range(z - reach, z + reach + 1):
+        for block_y in range(y - reach, y + reach + 1):
+            for block_x in range(x - reach, x + reach + 1):
+                place = table_place(block_x, block_y, block_z)
+                bits[number >> 6] |= np.int64(met[place]) << (number & 63)
+                met[place] = False
+                number += 1
+
+
+@njit(cache=True, nogil=True)
 def _evaluate(
     voxels: Words,
     members: Words,
@@ -140,7 +153,8 @@ def _evaluate(
     marks: Words,
 ) -> None:
     """Block by block: uniform ones are leapt, and volumes are differences of sums over unknown stretches."""
-    edge, marking = 2 * reach_blocks + 1, marks.shape[1] > 0
+    marking = marks.shape[1] > 0
+    met = np.zeros(cells.codes.size if marking else 0, np.bool_)
     last = template.leaves.shape[2] - 1
     for member in members:
         voxel_x, voxel_y, voxel_z = voxels[member, 0], voxels[member, 1], voxels[member, 2]
@@ -157,72 +171,44 @@ def _evaluate(
             x = voxel_x if up_x else -1 - voxel_x
             y = voxel_y if up_y else -1 - voxel_y
             z = voxel_z if up_z else -1 - voxel_z
-            visible, volume, i, unknown_from = 1.0, 0.0, 0, -1
+            visible, volume, i = np.float32(1), np.float32(0), 0
             while i < length:
-                offset, moved = np.int64(template.offsets[start + i]), np.int64(template.moved[start + i])
+                offset = np.int64(template.offsets[start + i])
                 cell = (
                     ((base_x + (offset & MASK_X)) & MASK_X)
                     | ((base_y + (offset & MASK_Y)) & MASK_Y)
                     | ((base_z + (offset & MASK_Z)) & MASK_Z)
                 )
                 code = np.int64(cells.codes[cell >> 9])
-                block_x, block_y = (x + (moved & 255)) >> 3, (y + ((moved >> 8) & 255)) >> 3
-                block_z = (z + (moved >> 16)) >> 3
-                leap = 1 if code >= 0 or marking else (-code) >> 1
                 if marking:
-                    steps_x, steps_y, steps_z = block_x - (x >> 3), block_y - (y >> 3), block_z - (z >> 3)
-                    bit = reach_blocks + (steps_x if up_x else -steps_x)
-                    bit += edge * (reach_blocks + (steps_y if up_y else -steps_y))
-                    bit += edge * edge * (reach_blocks + (steps_z if up_z else -steps_z))
-                    marks[member, bit >> 6] |= np.int64(1) << (bit & 63)
-                end = min(
-                    template.leaves[ray, 0, min(8 * (block_x + leap) - x, last)],
-                    template.leaves[ray, 1, min(8 * (block_y + leap) - y, last)],
-                    template.leaves[ray, 2, min(8 * (block_z + leap) - z, last)],
-                )
-                if code < 0:
-                    if (-code) & 1 == 0:
-                        if unknown_from < 0:
-                            unknown_from = i
-                            visible /= template.decays[sums + i]
-                    elif unknown_from >= 0:
-                        volume += visible * (
-                            template.ahead_m3[sums + unknown_from] - template.ahead_m3[sums + i]
-                        )
-                        visible *= template.decays[sums + i]
-                        count += i - unknown_from
-                        unknown_from = -1
-                    i = np.int64(end)
-                    continue
-                masks = 16 * code
-                while i < end:
-                    offset = np.int64(template.offsets[start + i])
-                    cell = (
-                        ((base_x + (offset & MASK_X)) & MASK_X)
-                        | ((base_y + (offset & MASK_Y)) & MASK_Y)
-                        | ((base_z + (offset & MASK_Z)) & MASK_Z)
-                    )
-                    word, bit = masks + ((cell >> 5) & 14), cell & 63
+                    met[cell >> 9] = True
+                if code >= 0:
+                    word, bit = 16 * code + ((cell >> 5) & 14), cell & 63
                     if (cells.masks[word] >> bit) & 1:
-                        length = i
                         break
-                    if (cells.masks[word + 1] >> bit) & 1:
-                        if unknown_from >= 0:
-                            volume += visible * (
-                                template.ahead_m3[sums + unknown_from] - template.ahead_m3[sums + i]
-                            )
-                            visible *= template.decays[sums + i]
-                            count += i - unknown_from
-                            unknown_from = -1
-                    elif unknown_from < 0:
-                        unknown_from = i
-                        visible /= template.decays[sums + i]
+                    # without a branch: known and unknown alternate in an unforeseeable way
+                    unknown = np.int64(1) - ((cells.masks[word + 1] >> bit) & 1)
+                    volume += visible * (template.volumes_m3[start + i] if unknown else np.float32(0))
+                    visible *= template.decays[start + i] if unknown else np.float32(1)
+                    count += unknown
                     i += 1
-            if unknown_from >= 0:
-                volume += visible * (
-                    template.ahead_m3[sums + unknown_from] - template.ahead_m3[sums + length]
+                    continue
+                moved = np.int64(template.moved[start + i])
+                leap = 1 if marking or code & 1 == 0 else (-code) >> 1
+                end = min(
+                    template.leaves[ray, 0, min(8 * (((x + (moved & 255)) >> 3) + leap) - x, last)],
+                    template.leaves[ray, 1, min(8 * (((y + ((moved >> 8) & 255)) >> 3) + leap) - y, last)],
+                    template.leaves[ray, 2, min(8 * (((z + (moved >> 16)) >> 3) + leap) - z, last)],
                 )
-                count += length - unknown_from
-            total += volume
+                if code & 1 == 0:
+                    rise = template.rises[sums + i]
+                    stretch = template.ahead_m3[sums + i] - template.ahead_m3[sums + end]
+                    volume += visible * np.float32(rise * stretch)
+                    visible *= np.float32(rise / template.rises[sums + end])
+                    count += end - i
+                i = np.int64(end)
+            total += float(volume)
+        if marking:
+            _collect(met, voxel_x >> 3, voxel_y >> 3, voxel_z >> 3, reach_blocks, marks[member])
         volumes[member] = total
         counts[member] = count

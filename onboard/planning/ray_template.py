@@ -33,17 +33,20 @@ MASK_X, MASK_Y, MASK_Z = _AXIS_MASKS
 class Template(NamedTuple):
     """The voxels of all R rays in a row, those of ray j at first[j]:first[j + 1].
 
-    Per voxel: the `offsets` of its cell and `moved`, the voxels crossed so far along x, y, z, 8 bits each.
-    With one entry more for each ray, those of ray j at first[j] + j: `ahead_m3`, the volume from this voxel
-    to the ray's end if all of the ray is unknown, and `decays`, the attenuation that is reached there.
+    Per voxel: the `offsets` of its cell, its volume in m^3, the factor `decays` on all behind it if it is
+    unknown, and `moved`, the voxels crossed so far along x, y, z, 8 bits each. With one entry more for each
+    ray, those of ray j at first[j] + j: `ahead_m3`, the volume from this voxel to the ray's end if all of the
+    ray is unknown, and `rises`, the inverse of the attenuation that is then reached here.
     signs (R, 3): whether a coordinate grows. leaves (R, 3, K): number of the first voxel that lies k voxels
     along an axis, or that of the ray's end.
     """
 
     offsets: NDArray[np.int32]
     moved: NDArray[np.int32]
+    volumes_m3: NDArray[np.float32]
+    decays: NDArray[np.float32]
     ahead_m3: Floats
-    decays: Floats
+    rises: Floats
     first: Words
     signs: NDArray[np.bool_]
     leaves: NDArray[np.int16]
@@ -87,27 +90,25 @@ def build_template(fan: Fan, range_m: float, voxel_m: float, occlusion_rate_per_
     first, leaves = np.empty(count + 1, np.int64), np.empty((count, 3, int(reach) + 3), np.int16)
     _traverse(fan.directions, reach, offsets, moved, enter, leave, first, leaves)
     size = first[-1]
-    volumes, decays = _volumes(
-        fan, enter[:size] * voxel_m, leave[:size] * voxel_m, first, occlusion_rate_per_m
-    )
-    signs = fan.directions > 0
-    return Template(offsets[:size].copy(), moved[:size].copy(), volumes, decays, first, signs, leaves)
-
-
-def _volumes(fan: Fan, enter: Floats, leave: Floats, first: Words, rate: float) -> tuple[Floats, Floats]:
-    """`ahead_m3` and `decays` of voxels that rays enter and leave at these distances, metres."""
-    depth = rate * (leave - enter)
+    enter, leave = enter[:size] * voxel_m, leave[:size] * voxel_m
+    depth = occlusion_rate_per_m * (leave - enter)
     # mean of exp(-rate * length) inside the voxel; the limit for a thin one is 1
-    mean_attenuation = -np.expm1(-depth) / np.maximum(depth, 1e-12) if rate > 0 else 1.0
-    solid_angles = np.repeat(fan.solid_angles, np.diff(first))
-    volumes = solid_angles * (leave**3 - enter**3) / 3 * mean_attenuation * np.exp(-rate * enter)
-    ahead, decays = np.empty(first[-1] + len(first) - 1), np.empty(first[-1] + len(first) - 1)
+    mean_attenuation = -np.expm1(-depth) / np.maximum(depth, 1e-12) if occlusion_rate_per_m > 0 else 1.0
+    volumes = np.repeat(fan.solid_angles, np.diff(first)) * (leave**3 - enter**3) / 3 * mean_attenuation
+    ahead, rises = _sums(volumes * np.exp(-occlusion_rate_per_m * enter), depth, first)
+    voxels = volumes.astype(np.float32), np.exp(-depth).astype(np.float32)
+    places = offsets[:size].copy(), moved[:size].copy()
+    return Template(*places, *voxels, ahead, rises, first, fan.directions > 0, leaves)
+
+
+def _sums(volumes: Floats, depths: Floats, first: Words) -> tuple[Floats, Floats]:
+    """`ahead_m3` and `rises` from the attenuated volumes and optical depths of all voxels."""
+    ahead, rises = np.zeros(first[-1] + len(first) - 1), np.ones(first[-1] + len(first) - 1)
     for ray, (start, end) in enumerate(pairwise(first)):
-        place = slice(start + ray, end + ray + 1)
         # summed from the far end: differences of sums keep their digits where attenuation is strong
-        ahead[place] = np.concatenate([np.cumsum(volumes[start:end][::-1])[::-1], [0.0]])
-        decays[place] = np.exp(-rate * np.concatenate([enter[start:end], leave[end - 1 : end]]))
-    return ahead, decays
+        ahead[start + ray : end + ray] = np.cumsum(volumes[start:end][::-1])[::-1]
+        rises[start + ray + 1 : end + ray + 1] = np.exp(np.cumsum(depths[start:end]))
+    return ahead, rises
 
 
 @njit(cache=True, nogil=True)
