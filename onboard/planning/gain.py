@@ -152,63 +152,70 @@ def _evaluate(
     counts: Floats,
     marks: Words,
 ) -> None:
-    """Block by block: uniform ones are leapt, and volumes are differences of sums over unknown stretches."""
-    marking = marks.shape[1] > 0
+    """Ray by ray for all positions: the part of the template in use then stays in the nearest cache.
+
+    Uniform blocks are leapt. Unknown ones are left one by one, so that the rounding of the sum depends on
+    nothing but the blocks that the rays meet. Their marks are taken position by position.
+    """
+    marking, last = marks.shape[1] > 0, template.leaves.shape[2] - 1
     met = np.zeros(cells.codes.size if marking else 0, np.bool_)
-    last = template.leaves.shape[2] - 1
-    for member in members:
-        voxel_x, voxel_y, voxel_z = voxels[member, 0], voxels[member, 1], voxels[member, 2]
-        # all ones in the foreign bits: an addition then carries through the gaps of its own axis
-        base_x = table_cell(voxel_x, 0) | ~MASK_X
-        base_y = table_cell(voxel_y, 1) | ~MASK_Y
-        base_z = table_cell(voxel_z, 2) | ~MASK_Z
-        total, count = 0.0, 0
+    group = 1 if marking else members.size
+    for begin in range(0, members.size, group):
         for ray in range(template.first.size - 1):
             start, length = template.first[ray], template.first[ray + 1] - template.first[ray]
             sums = start + ray
-            # along a falling axis, count blocks in the mirrored space
             up_x, up_y, up_z = template.signs[ray, 0], template.signs[ray, 1], template.signs[ray, 2]
-            x = voxel_x if up_x else -1 - voxel_x
-            y = voxel_y if up_y else -1 - voxel_y
-            z = voxel_z if up_z else -1 - voxel_z
-            visible, volume, i = np.float32(1), np.float32(0), 0
-            while i < length:
-                offset = np.int64(template.offsets[start + i])
-                cell = (
-                    ((base_x + (offset & MASK_X)) & MASK_X)
-                    | ((base_y + (offset & MASK_Y)) & MASK_Y)
-                    | ((base_z + (offset & MASK_Z)) & MASK_Z)
-                )
-                code = np.int64(cells.codes[cell >> 9])
-                if marking:
-                    met[cell >> 9] = True
-                if code >= 0:
-                    word, bit = 16 * code + ((cell >> 5) & 14), cell & 63
-                    if (cells.masks[word] >> bit) & 1:
-                        break
-                    # without a branch: known and unknown alternate in an unforeseeable way
-                    unknown = np.int64(1) - ((cells.masks[word + 1] >> bit) & 1)
-                    volume += visible * (template.volumes_m3[start + i] if unknown else np.float32(0))
-                    visible *= template.decays[start + i] if unknown else np.float32(1)
-                    count += unknown
-                    i += 1
-                    continue
-                moved = np.int64(template.moved[start + i])
-                leap = 1 if marking or code & 1 == 0 else (-code) >> 1
-                end = min(
-                    template.leaves[ray, 0, min(8 * (((x + (moved & 255)) >> 3) + leap) - x, last)],
-                    template.leaves[ray, 1, min(8 * (((y + ((moved >> 8) & 255)) >> 3) + leap) - y, last)],
-                    template.leaves[ray, 2, min(8 * (((z + (moved >> 16)) >> 3) + leap) - z, last)],
-                )
-                if code & 1 == 0:
-                    rise = template.rises[sums + i]
-                    stretch = template.ahead_m3[sums + i] - template.ahead_m3[sums + end]
-                    volume += visible * np.float32(rise * stretch)
-                    visible *= np.float32(rise / template.rises[sums + end])
-                    count += end - i
-                i = np.int64(end)
-            total += float(volume)
+            for which in range(begin, begin + group):
+                member = members[which]
+                voxel_x, voxel_y, voxel_z = voxels[member, 0], voxels[member, 1], voxels[member, 2]
+                # all ones in the foreign bits: an addition then carries through the gaps of its own axis
+                base_x = table_cell(voxel_x, 0) | ~MASK_X
+                base_y = table_cell(voxel_y, 1) | ~MASK_Y
+                base_z = table_cell(voxel_z, 2) | ~MASK_Z
+                visible, volume, i, count = np.float32(1), np.float32(0), 0, 0
+                while i < length:
+                    offset = np.int64(template.offsets[start + i])
+                    cell = (
+                        ((base_x + (offset & MASK_X)) & MASK_X)
+                        | ((base_y + (offset & MASK_Y)) & MASK_Y)
+                        | ((base_z + (offset & MASK_Z)) & MASK_Z)
+                    )
+                    code = np.int64(cells.codes[cell >> 9])
+                    if marking:
+                        met[cell >> 9] = True
+                    if code >= 0:
+                        word, bit = 16 * code + ((cell >> 5) & 14), cell & 63
+                        if (cells.masks[word] >> bit) & 1:
+                            break
+                        if not (cells.masks[word + 1] >> bit) & 1:
+                            volume += visible * template.volumes_m3[start + i]
+                            visible *= template.decays[start + i]
+                            count += 1
+                        i += 1
+                        continue
+                    # along a falling axis, blocks are counted in the mirrored space
+                    x = voxel_x if up_x else -1 - voxel_x
+                    y = voxel_y if up_y else -1 - voxel_y
+                    z = voxel_z if up_z else -1 - voxel_z
+                    moved = np.int64(template.moved[start + i])
+                    leap = 1 if marking or code & 1 == 0 else (-code) >> 1
+                    end = min(
+                        template.leaves[ray, 0, min(8 * (((x + (moved & 255)) >> 3) + leap) - x, last)],
+                        template.leaves[
+                            ray, 1, min(8 * (((y + ((moved >> 8) & 255)) >> 3) + leap) - y, last)
+                        ],
+                        template.leaves[ray, 2, min(8 * (((z + (moved >> 16)) >> 3) + leap) - z, last)],
+                    )
+                    if code & 1 == 0:
+                        rise = template.rises[sums + i]
+                        stretch = template.ahead_m3[sums + i] - template.ahead_m3[sums + end]
+                        volume += visible * np.float32(rise * stretch)
+                        visible *= np.float32(rise / template.rises[sums + end])
+                        count += end - i
+                    i = int(end)
+                volumes[member] += float(volume)
+                counts[member] += count
         if marking:
-            _collect(met, voxel_x >> 3, voxel_y >> 3, voxel_z >> 3, reach_blocks, marks[member])
-        volumes[member] = total
-        counts[member] = count
+            member = members[begin]
+            x, y, z = voxels[member, 0] >> 3, voxels[member, 1] >> 3, voxels[member, 2] >> 3
+            _collect(met, x, y, z, reach_blocks, marks[member])

@@ -110,7 +110,7 @@ class GainWindow:
     def _update(self, tables: PlanningTables, dirty: Words) -> Words:
         first = self._first
         if first is None:
-            return _with_neighbours(dirty)
+            return np.asarray(_with_neighbours(dirty))
         places, outside = _places_to_derive(tables, dirty, first, self._codes, self._masks)
         return np.concatenate([self._derive(tables, places), outside])
 
