@@ -12,6 +12,7 @@ from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
 from onboard.planning.aerial_graph import build_aerial_graph
 from onboard.planning.air_space import Area
 from onboard.planning.gain import GainModel
+from onboard.planning.gain_cache import GainCache
 from onboard.planning.gait import gait_of, slopes_of
 from onboard.planning.ground_graph import build_ground_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph
@@ -33,6 +34,7 @@ class Body:
             voxel_m=voxel_m,
             occlusion_rate_per_m=settings.planner.occlusion_rate_per_m,
         )
+        self.gain_cache = GainCache(self.gain_model)
         self._corners = _circle(np.hypot(*settings.size_m[:2]) / 2, settings.size_m[2])
         self._gait = gait_of(settings.size_m, settings.step_max_m, slopes_of(settings), voxel_m)
         length, width, height = settings.size_m
@@ -67,7 +69,7 @@ class Body:
         """Volume in m^3 (N,) that the robot's LiDAR would newly see from reference points (N, 3)."""
         if len(points) == 0:
             return np.zeros(0)
-        return np.asarray(self.gain_model.evaluate(voxel_map, points + self.mount, self.area_m), np.float64)
+        return self.gain_cache.evaluate(voxel_map, points + self.mount, self.area_m)
 
     def room_to_turn(self, voxel_map: VoxelMap, point: FloatArray) -> bool:
         """Whether nothing is known to stand where the corners of a body at `point` (3,) sweep."""
