@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from onboard.mapping.blocks import BLOCK_EDGE, Slots, Words
 
 NO_DETAIL = -1
+KINDS = 5
 
 _Scalar = TypeVar("_Scalar", bound=np.generic)
 
@@ -31,7 +32,7 @@ class Details:
         self.count = 0
         self.row_of: Slots = np.full(blocks, NO_DETAIL, np.int32)
         """Row of each block, or NO_DETAIL."""
-        self.masks: Words = np.zeros((0, 5, BLOCK_EDGE), np.int64)
+        self.masks: Words = np.zeros((0, KINDS, BLOCK_EDGE), np.int64)
         """Mask [OCCUPIED ... SEEN + 1] of every row."""
 
     def reserve_blocks(self, blocks: int) -> None:
@@ -49,6 +50,12 @@ class Details:
         self.masks[places, OCCUPIED] = self.masks[places, OWN_OCCUPIED] = occupied[new]
         self.masks[places, SEEN] = known[new]
         self.count = total
+
+    def restore(self, row_of: NDArray[np.signedinteger], masks: NDArray[np.signedinteger]) -> None:
+        """Take the details of the first blocks (blocks,) and their masks (details, KINDS, 8) from a file."""
+        self.row_of[: len(row_of)] = row_of
+        self.masks = masks.astype(np.int64)
+        self.count = len(masks)
 
     def selected(self, kind: int, count: int, otherwise: Words) -> Words:
         """(count, 8) masks [kind] of the first blocks; those without details have `otherwise` (count, 8)."""

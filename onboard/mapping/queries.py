@@ -38,7 +38,7 @@ def point_statuses(tables: PlanningTables, points: Points, voxel_m: float, out: 
         out[i] = voxel_status(tables, x, y, z)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def box_status(
     tables: PlanningTables,
     x_low: float,

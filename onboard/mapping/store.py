@@ -59,6 +59,12 @@ class BlockStore:
         self.slots = np.empty(self.keys.size, np.int32)
         _fill_hash(self.keys, self.slots, self.block_keys, self.count)
 
+    def restore_keys(self, block_keys: NDArray[np.signedinteger]) -> None:
+        """Take the keys (N,) of the first N rows from a file; the store must be new and large enough."""
+        self.count = len(block_keys)
+        self.block_keys[: self.count] = block_keys
+        _fill_hash(self.keys, self.slots, self.block_keys, self.count)
+
     def slots_of(self, wanted: Words) -> Words:
         """Rows of these block keys (N,), created where missing."""
         rows = np.empty(wanted.size, np.int64)

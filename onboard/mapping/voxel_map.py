@@ -52,7 +52,7 @@ class VoxelMap:
         self.version = 0
         self.store = BlockStore()
         self._scratch: scan.ScanScratch | None = None
-        self._workers = Workers(threads)
+        self.workers = Workers(threads)
 
     def integrate(
         self,
@@ -93,7 +93,7 @@ class VoxelMap:
         def mark(first: int, last: int) -> None:
             scan.mark_rays(ends, first, last, origin, marks, touched)
 
-        self._workers.share(count, mark)
+        self.workers.share(count, mark)
         scan.mark_hits(cells, beyond, count, marks, touched, seen)
         return int(scan.collect_touched(touched, origin, scratch.window_blocks, scratch.block_keys))
 
@@ -113,7 +113,7 @@ class VoxelMap:
             part = blocks[first:last], rows[first:last], scratch.marks
             update.apply_marks(*part, *steps, store.log_odds, *masks, *details, self.version)
 
-        self._workers.share(touched, apply)
+        self.workers.share(touched, apply)
 
     def assume_free(self, lower: ArrayLike, upper: ArrayLike) -> None:
         """Let planning treat what is still unknown in this box (metres) as free until it is observed."""
