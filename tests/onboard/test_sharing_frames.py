@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.codec.crc import crc32c
+from onboard.core.crc import crc32c
 from onboard.core.errors import InputError, WireError
 from onboard.sharing.frames import KINDS, kind_name, pack, unpack
 from onboard.sharing.messages import (
