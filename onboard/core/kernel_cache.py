@@ -10,9 +10,12 @@ import hashlib
 import os
 import shutil
 import sys
+import time
 from pathlib import Path
 
 KEPT_CACHES = 4
+IN_USE_S = 86_400.0
+"""A cache that was selected within a day may belong to a program that runs; it is not pruned."""
 
 
 def select_kernel_cache(packages: Path) -> Path:
@@ -28,7 +31,9 @@ def select_kernel_cache(packages: Path) -> Path:
     os.environ["NUMBA_CACHE_DIR"] = str(cache)
     if "numba" in sys.modules:
         sys.modules["numba"].config.CACHE_DIR = str(cache)
-    if not cache.exists():
+    if cache.exists():
+        os.utime(cache)
+    else:
         _prune(base)
     return cache
 
@@ -46,5 +51,7 @@ def kernel_digest(packages: Path) -> str:
 
 def _prune(base: Path) -> None:
     caches = sorted(base.glob("kernels-*"), key=lambda path: path.stat().st_mtime, reverse=True)
+    now_s = time.time()
     for old in caches[KEPT_CACHES - 1 :]:
-        shutil.rmtree(old, ignore_errors=True)
+        if now_s - old.stat().st_mtime > IN_USE_S:
+            shutil.rmtree(old, ignore_errors=True)

@@ -45,6 +45,15 @@ def test_old_caches_are_pruned(environment: Path, tmp_path: Path) -> None:
     assert cache.exists()
 
 
+def test_caches_that_may_be_in_use_are_not_pruned(environment: Path, tmp_path: Path) -> None:
+    first = select_kernel_cache(make_sources(tmp_path, "0"))
+    for version in range(KEPT_CACHES + 3):
+        select_kernel_cache(make_sources(tmp_path, str(version))).mkdir(parents=True)
+        os.utime(first, (1, 1))
+        assert select_kernel_cache(make_sources(tmp_path, "0")) == first  # used again, at once
+    assert len(list(environment.iterdir())) == KEPT_CACHES + 3
+
+
 def test_child_process_uses_the_same_cache(environment: Path) -> None:
     code = "import onboard, os; print(os.environ['NUMBA_CACHE_DIR'])"
     root = Path(__file__).parents[2]
