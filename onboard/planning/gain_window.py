@@ -6,6 +6,7 @@ outside the bounds counts as known. The table follows the map by the blocks that
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -61,7 +62,11 @@ class GainWindow:
     """A table of 64 blocks per axis over one map; `refresh` before use, then `cover` what is evaluated."""
 
     def __init__(self, reach_blocks: int, close_gaps: bool) -> None:
-        """reach_blocks: how many blocks rays may reach from the block where they start."""
+        """reach_blocks: how many blocks rays may reach from the block where they start.
+
+        Listeners are given the keys (N,) of blocks that changed, or None for all of them.
+        """
+        self.listeners: list[Callable[[Words | None], None]] = []
         self._reach, self._close_gaps = reach_blocks, close_gaps
         self._map: VoxelMap | None = None
         self._version = 0
@@ -79,8 +84,14 @@ class GainWindow:
         """The table as it stands."""
         return Cells(self._codes, self._masks)
 
-    def refresh(self, voxel_map: VoxelMap, bounds: Bounds | None) -> Words | None:
-        """Follow the map; keys (N,) of the blocks that rays may now see differently, None: of all blocks."""
+    def refresh(self, voxel_map: VoxelMap, bounds: Bounds | None) -> None:
+        """Follow the map, and tell `listeners` which blocks rays may now see differently."""
+        changed = self._follow(voxel_map, bounds)
+        if changed is None or len(changed):
+            for listener in self.listeners:
+                listener(changed)
+
+    def _follow(self, voxel_map: VoxelMap, bounds: Bounds | None) -> Words | None:
         limits = _index_bounds(voxel_map, bounds)
         signature = b"".join(limit.tobytes() for limit in limits)
         if voxel_map is not self._map or signature != self._bounds:
