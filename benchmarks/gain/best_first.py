@@ -14,7 +14,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.gain import GainModel
-from onboard.planning.gain_window import Bounds, Cells, table_place
+from onboard.planning.gain_table import Cells, table_place
+from onboard.planning.gain_window import Bounds
 from onboard.planning.ray_template import Template
 
 Floats = NDArray[np.float64]

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from onboard.core.errors import InputError
 from onboard.core.lidar import LidarModel
 from onboard.mapping.voxel_map import VoxelMap
-from onboard.planning.gain_window import Bounds, Cells, GainWindow, table_place
+from onboard.planning.gain_table import Cells, table_place
+from onboard.planning.gain_window import Bounds, GainWindow
 from onboard.planning.ray_template import (
     MASK_X,
     MASK_Y,
