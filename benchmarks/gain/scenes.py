@@ -30,7 +30,7 @@ _HEADINGS = np.linspace(0, 2 * np.pi, 32, endpoint=False)
 
 
 @dataclass(frozen=True, eq=False)
-class Scene3:
+class Scanned:
     """A map after some scans with one sensor, and vertices (N, 3) in its known free space, metres."""
 
     name: str
@@ -47,7 +47,7 @@ class Place:
     scene: Scene
     poses: dict[str, list[Pose]]
 
-    def scanned(self, sensor: LidarModel, seed: int) -> Scene3:
+    def scanned(self, sensor: LidarModel, seed: int) -> Scanned:
         """The map of the scans from all poses, and vertices within 10 m of the last one."""
         rng = np.random.default_rng([seed, sensor.code])
         settings = LidarSettings.model_validate({"model": sensor.name, "mount_m": (0.0, 0.0, 0.0)})
@@ -55,7 +55,7 @@ class Place:
         for pose in self.poses[sensor.name]:
             voxel_map.integrate(simulator.scan(pose, 0.0)[0].rays(25.0), pose.matrix())
         last = self.poses[sensor.name][-1].position
-        return Scene3(self.name, sensor, voxel_map, _vertices(voxel_map, last, rng))
+        return Scanned(self.name, sensor, voxel_map, _vertices(voxel_map, last, rng))
 
 
 def mine_plan(data: Path) -> Place | None:

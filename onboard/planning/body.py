@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,6 +15,7 @@ from onboard.planning.aerial_graph import build_aerial_graph
 from onboard.planning.air_space import Area
 from onboard.planning.gain import GainModel
 from onboard.planning.gain_cache import GainCache
+from onboard.planning.gain_path import PathGain
 from onboard.planning.gait import gait_of, slopes_of
 from onboard.planning.ground_graph import build_ground_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph
@@ -35,6 +38,7 @@ class Body:
             occlusion_rate_per_m=settings.planner.occlusion_rate_per_m,
         )
         self.gain_cache = GainCache(self.gain_model)
+        self._path_gain = PathGain(self.gain_model)
         self._corners = _circle(np.hypot(*settings.size_m[:2]) / 2, settings.size_m[2])
         self._gait = gait_of(settings.size_m, settings.step_max_m, slopes_of(settings), voxel_m)
         length, width, height = settings.size_m
@@ -70,6 +74,10 @@ class Body:
         if len(points) == 0:
             return np.zeros(0)
         return self.gain_cache.evaluate(voxel_map, points + self.mount, self.area_m)
+
+    def path_gains(self, voxel_map: VoxelMap, paths: Sequence[FloatArray]) -> FloatArray:
+        """Volume in m^3 (P,) that the views along each path, reference points (M, 3), show together."""
+        return self._path_gain.evaluate(voxel_map, [path + self.mount for path in paths], self.area_m)
 
     def room_to_turn(self, voxel_map: VoxelMap, point: FloatArray) -> bool:
         """Whether nothing is known to stand where the corners of a body at `point` (3,) sweep."""

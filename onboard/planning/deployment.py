@@ -73,7 +73,7 @@ def aerial_outlook(
     order = np.argsort(-rates, kind="stable")
     targets = _apart(graph.points[views[order]], 3)
     best = int(order[0])
-    counts = body.gain_model.ray_count(voxel_map, graph.points[views] + body.mount)
+    counts = body.gain_model.ray_count(voxel_map, graph.points[views] + body.mount, body.area_m)
     return AerialOutlook(targets, float(gains[best]), float(rates[best]), float(np.max(counts)))
 
 

@@ -15,7 +15,8 @@ from numpy.typing import ArrayLike, NDArray
 from onboard.core.errors import InputError
 from onboard.core.lidar import LidarModel
 from onboard.mapping.voxel_map import VoxelMap
-from onboard.planning.gain_window import Bounds, Cells, GainWindow, table_place
+from onboard.planning.gain_table import Cells, table_place
+from onboard.planning.gain_window import Bounds, GainWindow
 from onboard.planning.ray_template import (
     MASK_X,
     MASK_Y,
@@ -110,14 +111,14 @@ class GainModel:
         volumes, counts = np.zeros(len(voxels)), np.zeros(len(voxels))
         edge = 2 * self.reach_blocks + 1
         marks = np.zeros((len(voxels), (edge**3 + 63) // 64 if mark else 0), np.int64)
-        for members in self._tiles(voxels >> 3):
+        for members in self.tiles(voxels >> 3):
             blocks = voxels[members] >> 3
             self.window.cover(blocks.min(axis=0), blocks.max(axis=0))
             cells = self.window.cells
             _evaluate(voxels, members, self.template, cells, self.reach_blocks, volumes, counts, marks)
         return volumes, counts * UNKNOWN_VOXEL_GAIN, marks
 
-    def _tiles(self, blocks: Words) -> Iterator[Words]:
+    def tiles(self, blocks: Words) -> Iterator[Words]:
         """Groups of positions whose rays stay inside one table; a local graph needs one."""
         if len(blocks) == 0:
             return

@@ -34,11 +34,12 @@ class GainCache:
         self._gains = np.zeros(capacity)
         self._valid = np.zeros(capacity, np.bool_)
         self._marks = np.zeros((capacity, 0), np.int64)
+        model.window.listeners.append(self._drop)
 
     def evaluate(self, voxel_map: VoxelMap, positions: ArrayLike, bounds: Bounds | None = None) -> Floats:
         """(N,) gains in m^3 from positions (N, 3) in metres, exactly as the model evaluates them."""
         voxels, inverse = np.unique(self.model.voxels(voxel_map, positions), axis=0, return_inverse=True)
-        self._drop(self.model.window.refresh(voxel_map, bounds))
+        self.model.window.refresh(voxel_map, bounds)
         keys: list[tuple[int, int, int]] = list(map(tuple, voxels.tolist()))
         rows = np.array([self._rows.get(key, -1) for key in keys], np.int64)
         missing = np.flatnonzero((rows < 0) | ~self._valid[rows])
@@ -65,7 +66,7 @@ class GainCache:
         if changed is None:
             self._rows.clear()
             self._valid[:] = False
-        elif len(changed):
+        else:
             _invalidate(self._voxels, self._marks, self._valid, changed, self.model.reach_blocks)
 
 

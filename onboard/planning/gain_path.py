@@ -12,7 +12,8 @@ from numpy.typing import ArrayLike, NDArray
 from onboard.core.errors import InputError
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.gain import GainModel
-from onboard.planning.gain_window import Bounds, Cells
+from onboard.planning.gain_table import Cells
+from onboard.planning.gain_window import Bounds
 from onboard.planning.ray_template import MASK_X, MASK_Y, MASK_Z, TABLE_BLOCKS, Template, table_cell
 
 Floats = NDArray[np.float64]

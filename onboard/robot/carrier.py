@@ -116,7 +116,8 @@ class Carrier:
         if len(plan.path) == 0:
             return 0.0
         if rule == "paper":
-            counts = explorer.body.gain_model.ray_count(explorer.map, plan.path + explorer.body.mount)
+            body = explorer.body
+            counts = body.gain_model.ray_count(explorer.map, plan.path + body.mount, body.area_m)
             return float(np.sum(counts))
         return plan.gain_m3 / (plan.time_s + explorer.settings.planner.start_up_s)
 
