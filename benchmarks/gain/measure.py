@@ -35,7 +35,8 @@ SEARCHED, SPEED_M_S, START_UP_S = 150, 1.0, 3.0
 class Result:
     """Milliseconds of CPU time per vertex, correlations with exact volumes, and what else is measured.
 
-    corr_*: Pearson, with the distinct volume that the same rays (same) or dense ones (dense) meet.
+    corr_*: Pearson, with the distinct volume that the same rays (same) or dense ones (dense) meet. union,
+    sum: our gain of a path, and the sum of the gains of its views, over the distinct volume (means).
     """
 
     place: str
@@ -48,6 +49,8 @@ class Result:
     corr_same: float
     corr_dense: float
     corr_original: float
+    union: float
+    sum: float
     paths_ms: float
     search_ms: float
     search_evaluated: int
@@ -84,7 +87,7 @@ def measure(scene: Scanned, rounds: int) -> Result:
         steps / count,
         times["ours"] / count,
         times["window"] - times["one"],
-        *_correlations(scene, counts),
+        *_fidelity(scene, counts),
         times["paths"],
         times["search"],
         answers["search"].evaluated,
@@ -133,12 +136,16 @@ def _paths(vertices: Floats) -> list[Floats]:
     return paths
 
 
-def _correlations(scene: Scanned, counts: Floats) -> tuple[float, float, float]:
-    """Of ours with the distinct volume of the same and of dense rays; of the original with the latter."""
-    plain, dense = model(0.0, False), Fan.between(-VIEW_RAD, VIEW_RAD, DENSE_RAD)
-    ours = plain.evaluate(scene.voxel_map, scene.vertices)
-    rays = plain.fan.directions, dense.directions
-    same, exact = (distinct_volumes(scene.voxel_map, scene.vertices, r, RANGE_M)[0] for r in rays)
-    pairs = (plain.ray_count(scene.voxel_map, scene.vertices), same), (ours, exact), (counts, exact)
+def _fidelity(scene: Scanned, counts: Floats) -> tuple[float, float, float, float, float]:
+    """`corr_same`, `corr_dense`, `corr_original`, `union` and `sum`, all without attenuation."""
+    plain, rays = model(0.0, False), Fan.between(-VIEW_RAD, VIEW_RAD, DENSE_RAD).directions
+    views, paths = list(scene.vertices), _paths(scene.vertices)
+    gains, hits = plain.evaluate_with_ray_count(scene.voxel_map, scene.vertices)
+    same = distinct_volumes(scene.voxel_map, views, plain.fan.directions, RANGE_M)
+    exact = distinct_volumes(scene.voxel_map, views, rays, RANGE_M)
+    pairs = (hits, same), (gains, exact), (counts, exact)
     first, second, third = (float(np.corrcoef(*pair)[0, 1]) for pair in pairs)
-    return first, second, third
+    together = distinct_volumes(scene.voxel_map, paths, rays, RANGE_M)
+    union = PathGain(plain).evaluate(scene.voxel_map, paths)
+    total = np.array([plain.evaluate(scene.voxel_map, path).sum() for path in paths])
+    return first, second, third, float(np.mean(union / together)), float(np.mean(total / together))

@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from onboard.core.errors import InputError
 from onboard.core.lidar import LidarModel
 from onboard.mapping.voxel_map import VoxelMap
-from onboard.planning.gain_table import Cells, table_place
+from onboard.planning.gain_table import Cells
 from onboard.planning.gain_window import Bounds, GainWindow
 from onboard.planning.ray_template import (
     MASK_X,
@@ -62,6 +62,7 @@ class GainModel:
         self.reach_blocks = (reach >> 3) + 1
         if TABLE_BLOCKS - 2 * self.reach_blocks < 1:
             raise InputError(f"gain range {range_m} m is too long for voxels of {voxel_m} m")
+        self._range_voxels = range_m / voxel_m
         self.template = build_template(self.fan, range_m, voxel_m, occlusion_rate_per_m)
         self.window = GainWindow(self.reach_blocks, close_gaps)
 
@@ -92,7 +93,7 @@ class GainModel:
         """Both gains, (N,) each, in one pass."""
         voxels = self.voxels(voxel_map, positions)
         self.window.refresh(voxel_map, bounds)
-        return self.evaluate_voxels(voxels)[:2]
+        return self.evaluate_voxels(voxels)
 
     def voxels(self, voxel_map: VoxelMap, positions: ArrayLike) -> Words:
         """(N, 3) voxels of positions (N, 3); raises InputError if the voxel sizes differ."""
@@ -102,21 +103,24 @@ class GainModel:
             )
         return np.floor(np.asarray(positions, np.float64).reshape(-1, 3) / self.voxel_m).astype(np.int64)
 
-    def evaluate_voxels(self, voxels: Words, mark: bool = False) -> tuple[Floats, Floats, Words]:
-        """Both gains (N,) from voxels (N, 3) on the map that the window was refreshed with, and bits.
-
-        If `mark`, bits (N, words) say which blocks the rays met: bit `(z E + y) E + x` of a cube of E =
-        2 reach_blocks + 1 blocks around the voxel's own.
-        """
+    def evaluate_voxels(self, voxels: Words) -> tuple[Floats, Floats]:
+        """Both gains (N,) from voxels (N, 3) on the map that the window was refreshed with."""
         volumes, counts = np.zeros(len(voxels)), np.zeros(len(voxels))
-        edge = 2 * self.reach_blocks + 1
-        marks = np.zeros((len(voxels), (edge**3 + 63) // 64 if mark else 0), np.int64)
         for members in self.tiles(voxels >> 3):
             blocks = voxels[members] >> 3
             self.window.cover(blocks.min(axis=0), blocks.max(axis=0))
-            cells = self.window.cells
-            _evaluate(voxels, members, self.template, cells, self.reach_blocks, volumes, counts, marks)
-        return volumes, counts * UNKNOWN_VOXEL_GAIN, marks
+            _evaluate(voxels, members, self.template, self.window.cells, volumes, counts)
+        return volumes, counts * UNKNOWN_VOXEL_GAIN
+
+    def reachable_blocks(self) -> NDArray[np.bool_]:
+        """(E, E, E) whether a ray from a voxel of the block in the middle may reach a block: x, y, z."""
+        offsets = np.arange(-self.reach_blocks, self.reach_blocks + 1)
+        gaps = np.maximum(8.0 * np.abs(offsets) - 7.5, 0.0)  # from a voxel's centre to the nearest face
+        x, y, z = np.meshgrid(gaps, gaps, gaps, indexing="ij")
+        steepest = np.clip([-self.fan.directions[:, 2].min(), self.fan.directions[:, 2].max()], 0, None)
+        rise = np.where(offsets < 0, *steepest) * self._range_voxels
+        near = np.sqrt(x**2 + y**2 + z**2) <= self._range_voxels + 1
+        return np.asarray(near & (gaps <= rise + 1)[None, None])
 
     def tiles(self, blocks: Words) -> Iterator[Words]:
         """Groups of positions whose rays stay inside one table; a local graph needs one."""
@@ -130,93 +134,66 @@ class GainModel:
 
 
 @njit(cache=True, nogil=True)
-def _collect(met: NDArray[np.bool_], x: int, y: int, z: int, reach: int, bits: Words) -> None:
-    """Move flags of table places to the bits of a cube around this block."""
-    number = 0
-    for block_z in range(z - reach, z + reach + 1):
-        for block_y in range(y - reach, y + reach + 1):
-            for block_x in range(x - reach, x + reach + 1):
-                place = table_place(block_x, block_y, block_z)
-                bits[number >> 6] |= np.int64(met[place]) << (number & 63)
-                met[place] = False
-                number += 1
-
-
-@njit(cache=True, nogil=True)
 def _evaluate(
     voxels: Words,
     members: Words,
     template: Template,
     cells: Cells,
-    reach_blocks: int,
     volumes: Floats,
     counts: Floats,
-    marks: Words,
 ) -> None:
     """Ray by ray for all positions: the part of the template in use then stays in the nearest cache.
 
     Uniform blocks are leapt. Unknown ones are left one by one, so that the rounding of the sum depends on
-    nothing but the blocks that the rays meet. Their marks are taken position by position.
+    nothing but what the rays meet.
     """
-    marking, last = marks.shape[1] > 0, template.leaves.shape[2] - 1
-    met = np.zeros(cells.codes.size if marking else 0, np.bool_)
-    group = 1 if marking else members.size
-    for begin in range(0, members.size, group):
-        for ray in range(template.first.size - 1):
-            start, length = template.first[ray], template.first[ray + 1] - template.first[ray]
-            sums = start + ray
-            up_x, up_y, up_z = template.signs[ray, 0], template.signs[ray, 1], template.signs[ray, 2]
-            for which in range(begin, begin + group):
-                member = members[which]
-                voxel_x, voxel_y, voxel_z = voxels[member, 0], voxels[member, 1], voxels[member, 2]
-                # all ones in the foreign bits: an addition then carries through the gaps of its own axis
-                base_x = table_cell(voxel_x, 0) | ~MASK_X
-                base_y = table_cell(voxel_y, 1) | ~MASK_Y
-                base_z = table_cell(voxel_z, 2) | ~MASK_Z
-                visible, volume, i, count = np.float32(1), np.float32(0), 0, 0
-                while i < length:
-                    offset = np.int64(template.offsets[start + i])
-                    cell = (
-                        ((base_x + (offset & MASK_X)) & MASK_X)
-                        | ((base_y + (offset & MASK_Y)) & MASK_Y)
-                        | ((base_z + (offset & MASK_Z)) & MASK_Z)
-                    )
-                    code = np.int64(cells.codes[cell >> 9])
-                    if marking:
-                        met[cell >> 9] = True
-                    if code >= 0:
-                        word, bit = 16 * code + ((cell >> 5) & 14), cell & 63
-                        if (cells.masks[word] >> bit) & 1:
-                            break
-                        if not (cells.masks[word + 1] >> bit) & 1:
-                            volume += visible * template.volumes_m3[start + i]
-                            visible *= template.decays[start + i]
-                            count += 1
-                        i += 1
-                        continue
-                    # along a falling axis, blocks are counted in the mirrored space
-                    x = voxel_x if up_x else -1 - voxel_x
-                    y = voxel_y if up_y else -1 - voxel_y
-                    z = voxel_z if up_z else -1 - voxel_z
-                    moved = np.int64(template.moved[start + i])
-                    leap = 1 if marking or code & 1 == 0 else (-code) >> 1
-                    end = min(
-                        template.leaves[ray, 0, min(8 * (((x + (moved & 255)) >> 3) + leap) - x, last)],
-                        template.leaves[
-                            ray, 1, min(8 * (((y + ((moved >> 8) & 255)) >> 3) + leap) - y, last)
-                        ],
-                        template.leaves[ray, 2, min(8 * (((z + (moved >> 16)) >> 3) + leap) - z, last)],
-                    )
-                    if code & 1 == 0:
-                        rise = template.rises[sums + i]
-                        stretch = template.ahead_m3[sums + i] - template.ahead_m3[sums + end]
-                        volume += visible * np.float32(rise * stretch)
-                        visible *= np.float32(rise / template.rises[sums + end])
-                        count += end - i
-                    i = int(end)
-                volumes[member] += float(volume)
-                counts[member] += count
-        if marking:
-            member = members[begin]
-            x, y, z = voxels[member, 0] >> 3, voxels[member, 1] >> 3, voxels[member, 2] >> 3
-            _collect(met, x, y, z, reach_blocks, marks[member])
+    last = template.leaves.shape[2] - 1
+    for ray in range(template.first.size - 1):
+        start, length = template.first[ray], template.first[ray + 1] - template.first[ray]
+        sums = start + ray
+        up_x, up_y, up_z = template.signs[ray, 0], template.signs[ray, 1], template.signs[ray, 2]
+        for member in members:
+            voxel_x, voxel_y, voxel_z = voxels[member, 0], voxels[member, 1], voxels[member, 2]
+            # all ones in the foreign bits: an addition then carries through the gaps of its own axis
+            base_x = table_cell(voxel_x, 0) | ~MASK_X
+            base_y = table_cell(voxel_y, 1) | ~MASK_Y
+            base_z = table_cell(voxel_z, 2) | ~MASK_Z
+            visible, volume, i, count = np.float32(1), np.float32(0), 0, 0
+            while i < length:
+                offset = np.int64(template.offsets[start + i])
+                cell = (
+                    ((base_x + (offset & MASK_X)) & MASK_X)
+                    | ((base_y + (offset & MASK_Y)) & MASK_Y)
+                    | ((base_z + (offset & MASK_Z)) & MASK_Z)
+                )
+                code = np.int64(cells.codes[cell >> 9])
+                if code >= 0:
+                    word, bit = 16 * code + ((cell >> 5) & 14), cell & 63
+                    if (cells.masks[word] >> bit) & 1:
+                        break
+                    if not (cells.masks[word + 1] >> bit) & 1:
+                        volume += visible * template.volumes_m3[start + i]
+                        visible *= template.decays[start + i]
+                        count += 1
+                    i += 1
+                    continue
+                # along a falling axis, blocks are counted in the mirrored space
+                x = voxel_x if up_x else -1 - voxel_x
+                y = voxel_y if up_y else -1 - voxel_y
+                z = voxel_z if up_z else -1 - voxel_z
+                moved = np.int64(template.moved[start + i])
+                leap = 1 if code & 1 == 0 else (-code) >> 1
+                end = min(
+                    template.leaves[ray, 0, min(8 * (((x + (moved & 255)) >> 3) + leap) - x, last)],
+                    template.leaves[ray, 1, min(8 * (((y + ((moved >> 8) & 255)) >> 3) + leap) - y, last)],
+                    template.leaves[ray, 2, min(8 * (((z + (moved >> 16)) >> 3) + leap) - z, last)],
+                )
+                if code & 1 == 0:
+                    rise = template.rises[sums + i]
+                    stretch = template.ahead_m3[sums + i] - template.ahead_m3[sums + end]
+                    volume += visible * np.float32(rise * stretch)
+                    visible *= np.float32(rise / template.rises[sums + end])
+                    count += end - i
+                i = int(end)
+            volumes[member] += float(volume)
+            counts[member] += count

@@ -66,12 +66,12 @@ def room_map() -> VoxelMap:
     return voxel_map
 
 
-def test_only_what_rays_met_matters():
+def test_only_what_rays_can_reach_matters():
     voxel_map, cache = room_map(), GainCache(model())
     place = [[0.1, 0.1, 0.1]]
     cache.evaluate(voxel_map, place)
-    voxel_map.assume_occupied([[0.1, 10.9, 0.1]])  # out of reach
-    voxel_map.assume_occupied([[-4.9, 0.1, 0.1]])  # in reach, but more than a block behind a wall
+    for beyond in ([0.1, 8.9, 0.1], [6.9, 6.9, 0.1], [0.1, 0.1, -7.1]):  # too far, or above what is seen
+        voxel_map.assume_occupied([beyond])
     cache.evaluate(voxel_map, place)
     assert (cache.hits, cache.misses) == (1, 1)
     voxel_map.assume_occupied([[1.1, 0.1, 0.1]])
