@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ground_station.export import EventLog, write_json, write_ply
+from ground_station.octomap import write_octomap
 from ground_station.palette import observer_colours
 from ground_station.record import Marker, RunRecord
 from ground_station.report import write_report
@@ -53,8 +54,10 @@ def simulate(
     progress: Callable[[Progress], None] | None = None,
     planner: PlannerFactory = Explorer,
     report: bool = True,
+    octomap: bool = False,
 ) -> dict[str, Any]:
-    """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`.
+    """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`;
+    with `octomap` also map.bt.
 
     `team` is "both", "ground" or "aerial". Returns the metrics. After ctrl-C the directory holds what
     there is and KeyboardInterrupt goes on. `planner` makes the planner of every robot;
@@ -72,6 +75,8 @@ def simulate(
             result = metrics(run.mission, truth, time.perf_counter() - started)
             events.write(run.mission.now_s, "end", complete=result["complete"])
             run.write(out, result, progress, report)
+            if octomap:
+                run.write_octomap(out)
     return result
 
 
@@ -172,6 +177,11 @@ class Run:
         write_ply(out / "map.ply", record.occupied, observer_colours(record.seen_by, len(record.robots)))
         if report:
             write_report(out, record)
+
+    def write_octomap(self, out: Path) -> None:
+        """Write the merged map as a tree for OctoMap."""
+        merged = merged_map(self.mission)
+        write_octomap(out / "map.bt", merged.occupied_indices(), merged.free_indices(), merged.voxel_m)
 
     def record(self, result: dict[str, Any]) -> RunRecord:
         """The run as the report wants it."""

@@ -51,6 +51,7 @@ def simulate(
         Path | None,
         typer.Option(metavar="FILE", help="Team and mission (TOML); the shipped team unless given."),
     ] = None,
+    bt: Annotated[bool, typer.Option("--bt", help="Also write map.bt, a tree for OctoMap.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the metrics as JSON and nothing else.")
     ] = False,
@@ -79,7 +80,7 @@ def simulate(
     from simulation.run import simulate as run
 
     with progress_bar(visible=not as_json) as report:
-        metrics = run(settings, scene, seed=seed, out=out, team=team.value, progress=report)
+        metrics = run(settings, scene, seed=seed, out=out, team=team.value, progress=report, octomap=bt)
     robots = [robot.name for robot in settings.robots]
     terminal.finish(f"{world}, seed {seed}", metrics, robots, out, as_json)
 
