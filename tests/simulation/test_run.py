@@ -78,7 +78,7 @@ def map_points(out: Path) -> int:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], list[Progress]]:
     out = tmp_path_factory.mktemp("run")
     seen: list[Progress] = []
-    return out, simulate(CONFIG, room(), 3, out, progress=seen.append), seen
+    return out, simulate(CONFIG, room(), 3, out, progress=seen.append, octomap=True), seen
 
 
 def test_all_files_are_there_and_readable(finished):
@@ -86,6 +86,7 @@ def test_all_files_are_there_and_readable(finished):
     assert {path.name for path in out.iterdir()} >= FILES
     assert json.loads((out / "metrics.json").read_text()) == json.loads(json.dumps(metrics))
     assert map_points(out) > 3_000
+    assert (out / "map.bt").read_bytes().startswith(b"# Octomap OcTree binary file\n")
     report = (out / "report.html").read_text()
     assert report.lstrip().lower().startswith("<!doctype html")
     assert "room, seed 3" in report
