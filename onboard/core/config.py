@@ -112,7 +112,7 @@ class DeploymentSettings(Section):
     debounce_cycles: Annotated[int, Field(ge=1)] = 3
     hysteresis: NonNegative = 0.2
     min_battery: Ratio = 0.6
-    launch_s: NonNegative = 30.0
+    launch_s: Positive = 30.0
     keyframes_sent: Annotated[int, Field(ge=1)] = 300
     overhead_clearance_m: Positive = 0.8
 

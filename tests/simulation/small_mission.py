@@ -88,7 +88,7 @@ def quarters() -> World:
 
 def flock(flyers: int, duration_s: float) -> Config:
     """The shipped carrier with that many aerial robots, which plan coarsely to save time."""
-    at_once = {**EAGER, "launch_s": 0.0, "min_volume_m3": 0.01}
+    at_once = {**EAGER, "launch_s": 1.0, "min_volume_m3": 0.01}
     config = team(mission={"duration_s": duration_s}, deployment=at_once)
     carrier, flyer = config.robots
     coarse = {"vertices": 150, "gain_vertices": 40, "window_m": (16.0, 16.0, 4.0)}
