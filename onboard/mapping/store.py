@@ -57,13 +57,13 @@ class BlockStore:
         self.details.reserve_blocks(capacity)
         self.keys = np.full(_HASH_PLACES_PER_BLOCK * capacity, NO_BLOCK, np.int64)
         self.slots = np.empty(self.keys.size, np.int32)
-        _fill_hash(self.keys, self.slots, self.block_keys, self.count)
+        fill_hash(self.keys, self.slots, self.block_keys, self.count)
 
     def restore_keys(self, block_keys: NDArray[np.signedinteger]) -> None:
         """Take the keys (N,) of the first N rows from a file; the store must be new and large enough."""
         self.count = len(block_keys)
         self.block_keys[: self.count] = block_keys
-        _fill_hash(self.keys, self.slots, self.block_keys, self.count)
+        fill_hash(self.keys, self.slots, self.block_keys, self.count)
 
     def slots_of(self, wanted: Words) -> Words:
         """Rows of these block keys (N,), created where missing."""
@@ -109,7 +109,8 @@ class BlockStore:
 
 
 @njit(cache=True, nogil=True)
-def _fill_hash(keys: Words, slots: Slots, block_keys: Words, count: int) -> None:
+def fill_hash(keys: Words, slots: Slots, block_keys: Words, count: int) -> None:
+    """Enter the first `count` rows into an empty table."""
     for slot in range(count):
         insert_block(keys, slots, block_keys[slot], slot)
 

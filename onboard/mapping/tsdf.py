@@ -22,6 +22,7 @@ from onboard.mapping.blocks import (
     insert_block,
 )
 from onboard.mapping.details import grown
+from onboard.mapping.store import fill_hash
 
 TRUNCATION_M = 0.6
 MAX_WEIGHT = 200.0
@@ -59,8 +60,7 @@ class TsdfBand:
         self.weight = grown(self.weight, capacity, 0)
         self._keys: Words = np.full(_PLACES_PER_BLOCK * capacity, NO_BLOCK, np.int64)
         self._slots: Slots = np.empty(self._keys.size, np.int32)
-        for slot in range(self.count):
-            insert_block(self._keys, self._slots, self.block_keys[slot], slot)
+        fill_hash(self._keys, self._slots, self.block_keys, self.count)
 
     def integrate(
         self, points: ArrayLike, pose: Doubles, *, min_range_m: float = 0.3, max_range_m: float = 20.0
@@ -125,36 +125,38 @@ def _add_rays(
     """
     keys, slots, block_keys, count = store
     steps = int(np.ceil(2 * band))
+    from_x, from_y, from_z = origin[0], origin[1], origin[2]
+    last_key, last_slot = np.int64(NO_BLOCK), NO_BLOCK
     for ray in range(first, ends.shape[0]):
         if count + _BLOCKS_PER_RAY > block_keys.size:
             return ray, count
-        along = ends[ray] - origin
-        length = np.sqrt(along[0] ** 2 + along[1] ** 2 + along[2] ** 2)
-        along = along / length
+        end_x, end_y, end_z = ends[ray, 0], ends[ray, 1], ends[ray, 2]
+        along_x, along_y, along_z = end_x - from_x, end_y - from_y, end_z - from_z
+        length = np.sqrt(along_x * along_x + along_y * along_y + along_z * along_z)
+        along_x, along_y, along_z = along_x / length, along_y / length, along_z / length
         before_x, before_y, before_z = np.int64(0), np.int64(0), np.int64(0)
         for step in range(-steps, steps + 1):
-            x = np.int64(np.floor(ends[ray, 0] + 0.5 * step * along[0]))
-            y = np.int64(np.floor(ends[ray, 1] + 0.5 * step * along[1]))
-            z = np.int64(np.floor(ends[ray, 2] + 0.5 * step * along[2]))
+            x = np.int64(np.floor(end_x + 0.5 * step * along_x))
+            y = np.int64(np.floor(end_y + 0.5 * step * along_y))
+            z = np.int64(np.floor(end_z + 0.5 * step * along_z))
             if step > -steps and x == before_x and y == before_y and z == before_z:
                 continue
             before_x, before_y, before_z = x, y, z
             travelled = (
-                (x + 0.5 - origin[0]) * along[0]
-                + (y + 0.5 - origin[1]) * along[1]
-                + (z + 0.5 - origin[2]) * along[2]
+                (x + 0.5 - from_x) * along_x + (y + 0.5 - from_y) * along_y + (z + 0.5 - from_z) * along_z
             )
             signed = length - travelled
             if travelled <= 0 or signed <= -band:
                 continue
             share = 1.0 if signed > -1.0 else (band + signed) / (band - 1.0)
             key = block_key(x >> 3, y >> 3, z >> 3)
-            slot = find_block(keys, slots, key)
+            slot = last_slot if key == last_key else find_block(keys, slots, key)
             if slot < 0:
                 slot = count
                 insert_block(keys, slots, key, slot)
                 block_keys[slot] = key
                 count += 1
+            last_key, last_slot = key, slot
             cell = ((z & 7) << 6) | ((y & 7) << 3) | (x & 7)
             old = weight[slot, cell]
             mean = (distance_m[slot, cell] * old + min(signed, band) * voxel_m * share) / (old + share)
