@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from benchmarks.exploration.flights import Flight, result
 from ground_station.export import read_events
+from onboard.planning.cycle import TOO_LATE
 
 STILL_M_S = 0.05
 MOVING_PHASES = frozenset({"carrying", "exploring"})
@@ -112,8 +113,16 @@ def still_share(track: list[list[float]], kind: str, changes: list[tuple[float, 
 
 
 def stopped_early(events: list[dict[str, Any]], robots: dict[str, Any], coverage: float) -> bool:
-    """Whether an aerial robot alone went home for good with much left that it could have reached."""
+    """Whether an aerial robot alone went home for good with much left, and not for want of time.
+
+    A robot whose last cycle had candidates from which it could not be back in time had not run out of goals.
+    """
     if list(robots) != ["aerial"] or coverage >= ENOUGH_SHARE:
         return False
     returns = [event for event in events if event["kind"] == "phase" and event["phase"] == "returning"]
-    return bool(returns) and returns[-1].get("reason") == NOTHING_LEFT
+    if not returns or returns[-1].get("reason") != NOTHING_LEFT:
+        return False
+    left_s = returns[-1]["time_s"]
+    cycles = [event for event in events if event["kind"] == "cycle" and event["time_s"] <= left_s]
+    last = cycles[-1]["candidates"] if cycles else []
+    return all(candidate["verdict"] != TOO_LATE for candidate in last)

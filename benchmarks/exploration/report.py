@@ -121,7 +121,8 @@ def footer(runs: Sequence[Measured]) -> str:
         f"Missions of {times}; the same world, start and noise for all in a pair. "
         "m³: volume seen by own LiDARs; still: share of the exploring time below 0.05 m/s; "
         "overlap: volume that two robots saw over the union; "
-        "late: robots not home at the end; stopped early: went home for lack of goals below 95 % coverage. "
+        "late: robots not home at the end; "
+        "stopped early: went home below 95 % coverage without goals and not for want of time. "
         "Intervals: 95 %, two-level bootstrap over worlds and seeds of the geometric mean ratio."
     )
     if len({run.sources for run in runs}) > 1:

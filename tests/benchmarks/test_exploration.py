@@ -14,7 +14,7 @@ from benchmarks.exploration import __main__ as command
 from benchmarks.exploration import flights
 from benchmarks.exploration.contenders import CONTENDERS, CUT_OFF_M
 from benchmarks.exploration.flights import RESULT, Flight
-from benchmarks.exploration.measures import measured, phases, still_share
+from benchmarks.exploration.measures import measured, phases, still_share, stopped_early
 from benchmarks.exploration.places import moved_start, short_name, world_for
 from benchmarks.exploration.report import section
 from benchmarks.exploration.statistics import compare, summary
@@ -169,6 +169,18 @@ def test_going_home_for_lack_of_goals_with_much_left_is_noted(
     run = measured(flight, tmp_path)
     assert run is not None
     assert run.stopped_early is early
+
+
+def test_want_of_time_is_no_early_stop() -> None:
+    def events(verdict: str) -> list[dict[str, Any]]:
+        candidates = [{"verdict": "lower score"}, {"verdict": verdict}]
+        gone = {"time_s": 9.0, "kind": "phase", "phase": "returning", "reason": "nothing left to explore"}
+        return [{"time_s": 8.9, "kind": "cycle", "candidates": candidates}, gone]
+
+    assert stopped_early(events("refused"), {"aerial": {}}, 0.5)
+    assert not stopped_early(events("no time to be back"), {"aerial": {}}, 0.5)
+    assert not stopped_early(events("refused"), {"aerial": {}}, 0.97)
+    assert not stopped_early(events("refused"), {"ground": {}}, 0.5)
 
 
 def test_standing_counts_while_exploring_only() -> None:
