@@ -9,12 +9,13 @@ from onboard.mapping.voxel_map import OWN
 from onboard.planning.air_space import Area
 from onboard.planning.cycle import CHOSEN, COLLIDES, LOWER, TOO_LATE, Candidate, Cycle
 from onboard.planning.frontiers import LEAVE
-from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, thin, warm_start
+from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, spread, warm_start
 from onboard.planning.navigator import Navigator
 from onboard.planning.plan import NOTHING, Plan, remaining_path
 from onboard.planning.prospects import Prospects
 from onboard.planning.rolling import Commitment, review
 from onboard.planning.selection import rank, score_path
+from onboard.planning.short_cuts import add_short_cuts
 from onboard.planning.startup import Reason, Startup, Step
 from onboard.planning.worth import PeerGoal, left_by_peers
 
@@ -64,6 +65,7 @@ class Explorer(Navigator):
         seeds = warm_start(self.local, None if current is None else current.path)
         self.local = self.body.graph(self.map, point, self._rng, seeds)
         self.observe(point)
+        self.cycle.counts["short_cuts"] = add_short_cuts(self.graph, self.local, self.visible)
         self._catch_up(now_s, point)
         candidates = self._views(now_s, self.local, VIEW_SPACING_M, "local")
         candidates += self.prospects.tour(now_s, point)
@@ -150,7 +152,7 @@ class Explorer(Navigator):
 
     def _views(self, now_s: float, graph: LocalGraph, spacing_m: float, kind: str) -> list[Candidate]:
         """The best paths to views of a graph; the best views become frontiers of the global graph, too."""
-        views = thin(graph.points, spacing_m, self.settings.planner.gain_vertices)
+        views = spread(graph.points, spacing_m, self.settings.planner.gain_vertices)
         views = views[graph.distances_m[views] > TRIM_M]  # what can be seen from here is seen anyway
         places = graph.points[views]
         gains = self.prospects.gains(places)

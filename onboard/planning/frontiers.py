@@ -69,11 +69,17 @@ class Frontiers:
         """(F, 3) where they are."""
         return np.asarray(self._graph.points[self.nodes])
 
+    def covers(self, point: FloatArray) -> bool:
+        """Whether a frontier is so close to a view (3,) that it stands for it."""
+        if not self.live:
+            return False
+        return bool(np.linalg.norm(self.places - point, axis=1).min() < FRONTIER_SPACING_M)
+
     def add(self, path: FloatArray, gain_m3: float, visible: Visible) -> bool:
         """Keep the way (M, 3) to a view that promises this much, unless a frontier is close to it."""
         if gain_m3 < self._frontier_m3:
             return False
-        if self.live and np.linalg.norm(self.places - path[-1], axis=1).min() < FRONTIER_SPACING_M:
+        if self.covers(path[-1]):
             return False
         self.live.append(Frontier(self._next, self._graph.add_path(path, visible), gain_m3))
         self._next += 1

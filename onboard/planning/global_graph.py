@@ -96,13 +96,21 @@ class GlobalGraph:
 
     def add_path(self, path: FloatArray, visible: Visible) -> int:
         """Keep the way (M, 3) from the robot to a place; returns that place's node, pinned."""
+        node = self._lay(path, visible)
+        self._pins[node] = self._pins.get(node, 0) + 1
+        return node
+
+    def join(self, path: FloatArray, target: int, visible: Visible) -> None:
+        """Keep the way (M, 3) from the robot to a place from which a node is in reach."""
+        self.connect(self._lay(path, visible), target)
+
+    def _lay(self, path: FloatArray, visible: Visible) -> int:
         previous = self._last
         if np.linalg.norm(self._points[previous] - path[0]) > MERGE_M:
             previous = self._add(path[0])
             self.connect(self._last, previous)
         for point in resample(path, NODE_SPACING_M)[1:]:
             previous = self._step(previous, point, visible)
-        self._pins[previous] = self._pins.get(previous, 0) + 1
         return previous
 
     def release(self, node: int) -> None:

@@ -57,6 +57,18 @@ def thin(points: FloatArray, spacing_m: float, limit: int) -> NDArray[np.int64]:
     return np.sort(first)[:limit]
 
 
+def spread(points: FloatArray, spacing_m: float, limit: int) -> NDArray[np.int64]:
+    """Like `thin`, but of too many cells half come from all over, where cells are wider."""
+    every = thin(points, spacing_m, len(points))
+    if len(every) <= limit:
+        return every
+    near, far = every[: limit // 2], every
+    while len(far) > limit - len(near):
+        spacing_m *= 1.2
+        far = every[thin(points[every], spacing_m, len(every))]
+    return np.unique(np.concatenate([near, far]))
+
+
 def polyline_length(path: FloatArray) -> float:
     """Length in metres of a polyline (M, 3)."""
     return float(np.linalg.norm(np.diff(path, axis=0), axis=1).sum())

@@ -86,11 +86,14 @@ class Prospects:
         return self.frontiers.refresh(near, self.gains, unvisited(places, self.robot.trail) <= 0)
 
     def add(self, graph: LocalGraph, views: NDArray[np.int64], gains: FloatArray) -> None:
-        """Keep the ways to the best views of a local graph."""
-        for index in np.argsort(-gains, kind="stable")[:NEW_FRONTIERS]:
-            if gains[index] >= self.robot.settings.planner.frontier_m3:
+        """Keep the ways to the best views of a local graph that no frontier is close to."""
+        added = 0
+        for index in np.argsort(-gains, kind="stable"):
+            if added == NEW_FRONTIERS or gains[index] < self.robot.settings.planner.frontier_m3:
+                return
+            if not self.frontiers.covers(graph.points[views[index]]):
                 path = graph.path(int(views[index]))
-                self.frontiers.add(path, float(gains[index]), self.robot.visible)
+                added += self.frontiers.add(path, float(gains[index]), self.robot.visible)
 
     def worths(self, now_s: float) -> FloatArray:
         """(F,) m^3 that the frontiers are worth to this robot now, 0 where it is not worth a visit."""
