@@ -13,14 +13,13 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import Normal, Stroke
 from numpy.typing import NDArray
 
-from ground_station.export import read_events, write_bytes
+from ground_station.export import read_events, read_ply, write_bytes
 from ground_station.palette import SHARED_COLOUR, UNSEEN_COLOUR, class_colours, rgb, robot_colour
 from ground_station.record import RunRecord
 from ground_station.report.figures import INK, MUTED, new_figure, style, to_png
 from ground_station.report.raster import rasterise
 from onboard.core.errors import InputError
 
-VERTEX = np.dtype([("position", "<f4", 3), ("colour", "u1", 3)])
 PATH_POINTS = 1500
 WIDTH_IN = 12.0
 
@@ -81,19 +80,6 @@ def _json(path: Path) -> Any:
         return json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; run python -m benchmarks.missions first") from error
-
-
-def read_ply(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-    """Points (N, 3) and colours (N, 3) of a file that `write_ply` wrote. Raises InputError."""
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
-    _, end, body = data.partition(b"end_header\n")
-    if not end or len(body) % VERTEX.itemsize:
-        raise InputError(f"{path}: not a map of this program")
-    vertices = np.frombuffer(body, dtype=VERTEX)
-    return vertices["position"].copy(), vertices["colour"].copy()
 
 
 def observers(colours: NDArray[np.uint8], robots: int) -> NDArray[np.uint8]:

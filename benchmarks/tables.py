@@ -22,6 +22,11 @@ Written by `python -m benchmarks.missions`; everything between markers is replac
 
 <!-- recordings:begin -->
 <!-- recordings:end -->
+
+## Exploration
+
+<!-- exploration:begin -->
+<!-- exploration:end -->
 """
 COLUMNS = (
     "world",

@@ -37,6 +37,19 @@ def write_ply(path: Path, points: ArrayLike, colours: NDArray[np.uint8]) -> None
     write_bytes(path, _PLY_HEADER.format(count=len(vertices)).encode() + vertices.tobytes())
 
 
+def read_ply(path: Path) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Points (N, 3) and colours (N, 3) of a file that `write_ply` wrote. Raises InputError."""
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    _, end, body = data.partition(b"end_header\n")
+    if not end or len(body) % _PLY_VERTEX.itemsize:
+        raise InputError(f"{path}: not a map of this program")
+    vertices = np.frombuffer(body, dtype=_PLY_VERTEX)
+    return vertices["position"].copy(), vertices["colour"].copy()
+
+
 def write_json(path: Path, data: Any) -> None:
     """Write JSON whole or not at all; numpy values become plain ones, NaN and infinity null."""
     write_bytes(path, (json.dumps(plain(data), indent=2, ensure_ascii=False) + "\n").encode())

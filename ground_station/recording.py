@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from drivers.recordings import open_recording
 from drivers.types import Recording
 from ground_station.export import write_json, write_ply
+from ground_station.mesh import surface_mesh, write_mesh
+from ground_station.octomap import write_octomap
 from ground_station.record import Marker, RunRecord
 from ground_station.recording_session import RecordingSession, RecordingSettings
 from ground_station.report import write_report
@@ -37,8 +39,9 @@ def map_recording(
     """Map the recording at `path` into the folder `out` and return the metrics.
 
     Writes trajectory.txt (TUM: stamp x y z qx qy qz qw), keyframes.bin, map.ply, map.png, metrics.json and
-    report.html. `sensor` names the nominal LiDAR where the recording does not tell. After Ctrl-C, or when the
-    recording breaks in the middle, everything is written for the scans before ('complete' is then false).
+    report.html, and map.bt and mesh.ply where the settings ask for them. `sensor` names the nominal LiDAR
+    where the recording does not tell. After Ctrl-C, or when the recording breaks in the middle, everything is
+    written for the scans before ('complete' is then false).
     Raises InputError for a recording or folder that cannot be used.
     """
     recording = open_recording(path, sensor)
@@ -80,6 +83,11 @@ def _write_results(out: Path, name: str, session: RecordingSession, metrics: dic
     centres = ((indices + 0.5) * session.settings.voxel_m).astype(np.float32)
     write_json(out / "metrics.json", metrics)
     write_ply(out / "map.ply", centres, height_colours(centres[:, 2]))
+    if session.settings.octomap:
+        free = session.map.free_indices()
+        write_octomap(out / "map.bt", indices, free, session.settings.voxel_m)
+    if session.surface is not None:
+        write_mesh(out / "mesh.ply", *surface_mesh(session.surface))
     write_report(out, _record(name, session, metrics, centres))
 
 

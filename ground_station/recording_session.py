@@ -17,6 +17,7 @@ from onboard.core.geometry import Pose, rotation_angle
 from onboard.core.lidar import LidarModel, lidar_model
 from onboard.localization.odometry import Odometry, OdometryResult
 from onboard.mapping.compare import compare_maps
+from onboard.mapping.tsdf import TsdfBand
 from onboard.mapping.voxel_map import VoxelMap
 
 LENGTH = struct.Struct("<I")
@@ -35,6 +36,9 @@ class RecordingSettings:
     keyframe_rotation_rad: float = 0.785
     keyframe_budget_bytes: int | None = None
     """The codec's default quality unless given."""
+    octomap: bool = False
+    mesh: bool = False
+    """What to write besides the map: a tree for OctoMap, a mesh."""
 
 
 @dataclass(eq=False)
@@ -56,6 +60,7 @@ class RecordingSession:
         self.odometry = Odometry()
         self.map = self._new_map()
         self.keyframe_map = self._new_map()
+        self.surface = TsdfBand(self.settings.voxel_m) if self.settings.mesh else None
         self._keyframe_pose: Pose | None = None
         self._model: LidarModel | None = None
         warm = self._new_map()
@@ -82,6 +87,9 @@ class RecordingSession:
         start_s = time.perf_counter()
         self.map.integrate(located.points, located.pose.matrix(), min_range_m=model.min_range_m)
         self.map_ms.append((time.perf_counter() - start_s) * 1e3)
+        if self.surface is not None:
+            limits = {"min_range_m": model.min_range_m, "max_range_m": self.settings.max_range_m}
+            self.surface.integrate(located.points, located.pose.matrix(), **limits)
         if self._wants_keyframe(located.pose):
             self._add_keyframe(located, model, scan.stamp_s)
         self._note(located.pose, scan.stamp_s)

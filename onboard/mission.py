@@ -2,6 +2,7 @@
 thing.
 
     ground  CARRYING <-> DEPLOYING -> EXPLORING -> RETURNING -> WAITING -> DONE
+            (back to CARRYING while there is a further robot aboard)
     aerial  CARRIED -> TAKING_OFF -> EXPLORING -> RETURNING -> WAITING -> DONE
 
 A ground robot without an aerial one begins in EXPLORING and is DONE when it is back.
@@ -56,6 +57,8 @@ class Facts:
     """The robot is at the regrouping point."""
     peers_arrived: bool = False
     """Every peer says that it is at the regrouping point too, and is in contact."""
+    aboard: bool = False
+    """There is a further robot to release (carrier)."""
     complete: bool = False
     """Every keyframe of every peer has been received."""
 
@@ -75,7 +78,9 @@ def _carrying(facts: Facts) -> Phase:
 def _deploying(facts: Facts) -> Phase:
     if facts.aborted:
         return Phase.CARRYING
-    return Phase.EXPLORING if facts.peer_clear else Phase.DEPLOYING
+    if not facts.peer_clear:
+        return Phase.DEPLOYING
+    return _resumed(facts)
 
 
 def _exploring(facts: Facts) -> Phase:
@@ -84,7 +89,7 @@ def _exploring(facts: Facts) -> Phase:
 
 def _returning(facts: Facts) -> Phase:
     if facts.more:
-        return Phase.EXPLORING
+        return _resumed(facts)
     return Phase.WAITING if facts.arrived else Phase.RETURNING
 
 
@@ -92,8 +97,12 @@ def _waiting(facts: Facts) -> Phase:
     if facts.peers_arrived and facts.shared and facts.complete and facts.arrived:
         return Phase.DONE
     if facts.more:
-        return Phase.EXPLORING
+        return _resumed(facts)
     return Phase.WAITING if facts.arrived else Phase.RETURNING
+
+
+def _resumed(facts: Facts) -> Phase:
+    return Phase.CARRYING if facts.aboard else Phase.EXPLORING
 
 
 _RULES: dict[Phase, Callable[[Facts], Phase]] = {

@@ -11,7 +11,8 @@ from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.mission import Phase
-from onboard.robot.core import RobotCore
+from onboard.planning.explorer import Explorer
+from onboard.robot.core import PlannerFactory, RobotCore
 from onboard.robot.interface import Inputs, Log, Outputs
 from simulation.aerial_robot import AerialRobot
 from simulation.ground_robot import GroundRobot
@@ -20,13 +21,23 @@ from simulation.scene import Scene
 
 BRACKET_M = 0.15
 """Height of a carried robot's centre above its carrier's back."""
+STAND_M = 0.5
+"""Height of a flying robot's centre over the floor on the stand from which it takes off by itself."""
+BRACKET_SPACING_M = 0.45
 
 
 class Agent:
     """Steps core and body together. `pose` is what the (perfect) localisation tells the core."""
 
     def __init__(
-        self, config: Config, settings: RobotSettings, scene: Scene, seed: int, start: Pose, log: Log
+        self,
+        config: Config,
+        settings: RobotSettings,
+        scene: Scene,
+        seed: int,
+        start: Pose,
+        log: Log,
+        planner: PlannerFactory = Explorer,
     ) -> None:
         self.settings = settings
         noise = np.random.default_rng([seed, settings.id, 7])
@@ -38,7 +49,7 @@ class Agent:
             self.body = GroundRobot(settings, scene, start.position, start.yaw)
         else:
             self.body = AerialRobot(settings, scene, start)
-        self.core = RobotCore(config, settings, seed, self.body.pose, log, time.perf_counter)
+        self.core = RobotCore(config, settings, seed, self.body.pose, log, time.perf_counter, planner)
         self.inbox: list[bytes] = []
         self.path: list[tuple[float, float, float, float]] = []
 
@@ -87,6 +98,20 @@ class Agent:
         return self.core.phase == Phase.DONE or self.carried
 
 
-def bracket_pose(carrier: Pose, carrier_height_m: float) -> Pose:
-    """Centre of a carried robot."""
-    return carrier.compose(Pose.from_rpy(np.array([0.0, 0.0, carrier_height_m + BRACKET_M])))
+def bracket_pose(carrier: Pose, carrier_height_m: float, place: int = 0) -> Pose:
+    """Centre of a carried robot: place 0 is the middle of the carrier's back, 1 before it, 2 behind."""
+    along = BRACKET_SPACING_M * ((place + 1) // 2) * (1 if place % 2 else -1)
+    return carrier.compose(Pose.from_rpy(np.array([along, 0.0, carrier_height_m + BRACKET_M])))
+
+
+def bracket_of(robot_id: int, robots: Sequence[RobotSettings]) -> int:
+    """Which of the carrier's places an aerial robot has."""
+    return [robot.id for robot in robots if robot.kind == "aerial"].index(robot_id)
+
+
+def launch_pose(start: Pose, robots: Sequence[RobotSettings], place: int = 0) -> Pose:
+    """Where an aerial robot's centre is at first: in the first ground robot's bracket, or on a stand."""
+    for robot in robots:
+        if robot.kind == "ground":
+            return bracket_pose(start, robot.size_m[2], place)
+    return start.compose(Pose.from_rpy(np.array([0.0, 0.0, STAND_M])))

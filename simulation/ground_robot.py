@@ -14,8 +14,6 @@ from simulation.bodies import Battery, BodyBox, ContactCounter, approached
 from simulation.scene import Scene
 from simulation.terrain import Footing, Plane, TerrainProbe
 
-STAIRS_SLOPE_RAD = np.deg2rad(35.0)
-"""Legged robots of this class climb stairs up to this slope; it also limits the attitude."""
 SLOPE_TOLERANCE_RAD = 0.035
 STEPPED_ROUGHNESS_M = 0.04
 """Ground that deviates more than this from a plane offers treads or footholds."""
@@ -86,6 +84,7 @@ class GroundRobot:
     def __init__(self, settings: RobotSettings, scene: Scene, position: FloatArray, yaw_rad: float) -> None:
         length, width, height = settings.size_m
         self._settings = settings
+        self._steepest_rad = max(settings.slope_max_rad, settings.stairs_max_rad)
         self._terrain = TerrainProbe(scene, length, width, settings.step_max_m)
         self._body = BodyBox(scene, length, width, settings.step_max_m, height)
         self._trunk = BodyBox(scene, length, width, BELLY_RATIO * height, height)
@@ -193,12 +192,12 @@ class GroundRobot:
         """Steeper than the robot walks and steeper than where it stands already."""
         limit = self._settings.slope_max_rad
         if footing.roughness_m > STEPPED_ROUGHNESS_M:
-            limit = max(limit, STAIRS_SLOPE_RAD)
+            limit = self._steepest_rad
         slope = footing.plane.slope
         return slope > np.tan(limit + SLOPE_TOLERANCE_RAD) and slope > self._stance.footing.plane.slope
 
     def _stand(self, footing: Footing, yaw: float) -> _Stance:
-        rotation = _attitude(footing.plane, yaw)
+        rotation = _attitude(footing.plane, yaw, self._steepest_rad)
         position = np.array([footing.plane.x0, footing.plane.y0, footing.plane.height_m])
         return _Stance(footing, yaw, rotation, *self._body.touch(position, rotation))
 
@@ -224,9 +223,9 @@ class GroundRobot:
         self.min_clearance_m = min(self.min_clearance_m, stance.clearance_m)
 
 
-def _attitude(plane: Plane, yaw: float) -> FloatArray:
-    """Rotation whose z axis is the plane's normal (at most 35 deg off vertical), heading `yaw`."""
-    scale = min(1.0, float(np.tan(STAIRS_SLOPE_RAD)) / max(plane.slope, 1e-9))
+def _attitude(plane: Plane, yaw: float, steepest_rad: float) -> FloatArray:
+    """Rotation whose z axis is the plane's normal (at most `steepest_rad` off vertical), heading `yaw`."""
+    scale = min(1.0, float(np.tan(steepest_rad)) / max(plane.slope, 1e-9))
     slope_x, slope_y = plane.slope_x * scale, plane.slope_y * scale
     up = np.array([-slope_x, -slope_y, 1.0]) / np.sqrt(1.0 + slope_x**2 + slope_y**2)
     cos, sin = np.cos(yaw), np.sin(yaw)

@@ -8,12 +8,13 @@ from typing import Any
 import numpy as np
 
 from onboard.core.config import Config, RobotSettings
-from onboard.core.errors import ConfigError
 from onboard.core.geometry import Pose
 from onboard.mapping.voxel_map import VoxelMap
+from onboard.planning.explorer import Explorer
+from onboard.robot.core import PlannerFactory
 from onboard.robot.sensing import CLEARING_M
 from simulation.aerial_robot import AerialRobot
-from simulation.agent import Agent, bracket_pose
+from simulation.agent import Agent, bracket_of, bracket_pose, launch_pose
 from simulation.bodies import ContactCounter
 from simulation.radio import Radio
 from simulation.scene import Scene
@@ -29,16 +30,26 @@ EventSink = Callable[..., None]
 class Mission:
     """All state of one simulated mission. `events` is called as events(time_s, kind, **fields)."""
 
-    def __init__(self, config: Config, world: World, scene: Scene, seed: int, events: EventSink) -> None:
+    def __init__(
+        self,
+        config: Config,
+        world: World,
+        scene: Scene,
+        seed: int,
+        events: EventSink,
+        planner: PlannerFactory = Explorer,
+    ) -> None:
         self.config = config
         self.world = world
         self.now_s = 0.0
         self.ticks = 0
         self._events = events
         self._start = Pose.from_rpy(world.start, yaw_rad=world.start_yaw_rad)
-        self.agents = [self._make(settings, scene, seed) for settings in config.robots]
+        self.agents = [self._make(settings, scene, seed, planner) for settings in config.robots]
         self.by_id = {agent.settings.id: agent for agent in self.agents}
         self.carriers = [agent for agent in self.agents if agent.settings.kind == "ground"]
+        self.lead = self.carriers[0] if self.carriers else self.agents[0]
+        """The robot whose map is the team's at the end."""
         self.radio = Radio(config.radio, scene, np.random.default_rng([seed, 99]))
         # what a perfect sensor would have built along the same paths: only the final score reads it
         self.reference = VoxelMap(config.map.voxel_m, config.map.max_range_m)
@@ -48,20 +59,18 @@ class Mission:
         self.deployment: dict[str, Any] | None = None
         self.seed = seed
 
-    def _make(self, settings: RobotSettings, scene: Scene, seed: int) -> Agent:
+    def _make(self, settings: RobotSettings, scene: Scene, seed: int, planner: PlannerFactory) -> Agent:
         def log(kind: str, **fields: Any) -> None:
             self._events(round(self.now_s, 3), kind, robot=settings.name, **fields)
 
         start = self._start
         if settings.kind == "aerial":
-            start = bracket_pose(start, self._carrier_settings().size_m[2])
-        return Agent(self.config, settings, scene, seed, start, log)
-
-    def _carrier_settings(self) -> RobotSettings:
-        for settings in self.config.robots:
-            if settings.kind == "ground":
-                return settings
-        raise ConfigError("robots: an aerial robot needs a ground robot that carries it")
+            start = launch_pose(start, self.config.robots, bracket_of(settings.id, self.config.robots))
+        agent = Agent(self.config, settings, scene, seed, start, log, planner)
+        carried = any(robot.kind == "ground" for robot in self.config.robots)
+        if isinstance(agent.body, AerialRobot) and not carried:
+            agent.body.release()
+        return agent
 
     def done(self) -> bool:
         """Whether every robot has finished or the time is over."""
@@ -111,20 +120,21 @@ class Mission:
                 return
 
     def _carry(self) -> None:
-        carrier = self.carriers[0]
         for agent in self.agents:
             if isinstance(agent.body, AerialRobot) and agent.body.attached:
-                agent.body.carry(bracket_pose(carrier.pose, carrier.settings.size_m[2]))
+                place = bracket_of(agent.settings.id, self.config.robots)
+                agent.body.carry(bracket_pose(self.lead.pose, self.lead.settings.size_m[2], place))
 
     def _count_meetings(self) -> None:
-        """Contact between a flying robot and a ground robot's body."""
+        """Contact between a flying robot and the body of another robot."""
         for flyer in self.agents:
-            if flyer.carried or flyer.settings.kind != "aerial":
+            released_s = self._released_s.get(flyer.settings.id)
+            if released_s is None or self.now_s - released_s < SEPARATION_S:
                 continue
-            if self.now_s - self._released_s[flyer.settings.id] < SEPARATION_S:
-                continue
-            for carrier in self.carriers:
-                pose, size = carrier.box()
+            for other in self.agents:
+                if other is flyer:
+                    continue
+                pose, size = other.box()
                 local = np.abs(pose.rotation.T @ (flyer.pose.position - pose.position)) - np.array(size) / 2
                 gap = float(np.linalg.norm(np.maximum(local, 0.0))) - max(flyer.settings.size_m) / 2
                 if gap < 0:

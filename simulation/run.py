@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from ground_station.export import EventLog, write_json, write_ply
+from ground_station.octomap import write_octomap
 from ground_station.palette import observer_colours
 from ground_station.record import Marker, RunRecord
 from ground_station.report import write_report
@@ -18,8 +19,11 @@ from onboard.core.config import Config
 from onboard.core.errors import ConfigError
 from onboard.core.geometry import Pose
 from onboard.mapping.voxel_map import OWN
+from onboard.planning.explorer import Explorer
+from onboard.robot.core import PlannerFactory
 from onboard.robot.roles import vector
-from simulation.agent import bracket_pose
+from simulation.agent import launch_pose
+from simulation.coverage import Coverage
 from simulation.mission import Mission
 from simulation.scene import Scene
 from simulation.scoring import is_complete, merged_map, metrics, volume_m3
@@ -48,32 +52,41 @@ def simulate(
     out: Path,
     team: str = "both",
     progress: Callable[[Progress], None] | None = None,
+    planner: PlannerFactory = Explorer,
+    report: bool = True,
+    octomap: bool = False,
 ) -> dict[str, Any]:
-    """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`.
+    """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`;
+    with `octomap` also map.bt.
 
-    `team` is "both" or "ground". Returns the metrics. After ctrl-C the directory holds what there is and
-    KeyboardInterrupt goes on. Raises InputError for a start without ground or without room to fly.
+    `team` is "both", "ground" or "aerial". Returns the metrics. After ctrl-C the directory holds what
+    there is and KeyboardInterrupt goes on. `planner` makes the planner of every robot;
+    without `report` there is no report.html. Raises InputError for a start without ground or room to fly.
     """
     started = time.perf_counter()
     config = within_world(select_team(config, team), world)
     scene = Scene(world.vertices, world.triangles)
     truth = reachable(config, world)
     with EventLog(out / "events.jsonl") as events:
-        run = Run(config, world, scene, seed, events)
+        run = Run(config, world, scene, seed, events, planner, Coverage(truth))
         try:
             run.loop(progress)
         finally:
             result = metrics(run.mission, truth, time.perf_counter() - started)
             events.write(run.mission.now_s, "end", complete=result["complete"])
-            run.write(out, result, progress)
+            run.write(out, result, progress, report)
+            if octomap:
+                run.write_octomap(out)
     return result
 
 
 def select_team(config: Config, team: str) -> Config:
     """The configuration with only the robots that take part."""
     robots = tuple(robot for robot in config.robots if team in ("both", robot.kind))
-    if not any(robot.kind == "ground" for robot in robots):
+    if not any(robot.kind == "ground" for robot in robots) and team != "aerial":
         raise ConfigError("robots: a mission needs a ground robot, which carries the others")
+    if not robots:
+        raise ConfigError("robots: there is no aerial robot that could fly alone")
     return config.model_copy(update={"robots": robots})
 
 
@@ -87,10 +100,9 @@ def within_world(config: Config, world: World) -> Config:
 
 def reachable(config: Config, world: World) -> Truth:
     """The free volume that a flying robot of the paper's size reaches from the start."""
-    ground = next(robot for robot in config.robots if robot.kind == "ground")
     aerial = next((robot for robot in config.robots if robot.kind == "aerial"), None)
     half = (0.19, 0.19, 0.12) if aerial is None else tuple(size / 2 for size in aerial.size_m)
-    from_pose = bracket_pose(Pose.from_rpy(world.start), ground.size_m[2])
+    from_pose = launch_pose(Pose.from_rpy(world.start), config.robots)
     return Truth(
         world.vertices, world.triangles, config.map.voxel_m, from_pose.position, (half[0], half[1], half[2])
     )
@@ -99,8 +111,18 @@ def reachable(config: Config, world: World) -> Truth:
 class Run:
     """A mission with the record that is kept of it."""
 
-    def __init__(self, config: Config, world: World, scene: Scene, seed: int, events: EventLog) -> None:
-        self.mission = Mission(config, world, scene, seed, self._event)
+    def __init__(
+        self,
+        config: Config,
+        world: World,
+        scene: Scene,
+        seed: int,
+        events: EventLog,
+        planner: PlannerFactory,
+        coverage: Coverage,
+    ) -> None:
+        self.mission = Mission(config, world, scene, seed, self._event, planner)
+        self._coverage = coverage
         self._events = events
         self._timeline: dict[str, list[float]] = {}
         self._markers = [Marker("start", "start", vector(world.start), 0.0)]
@@ -114,7 +136,7 @@ class Run:
             }
             self._markers.append(Marker("deploy", "deploy", fields["position"], time_s))
             self._markers.append(Marker("target", "target", fields["target"], time_s))
-        if kind == "regroup" and fields["robot"] == self.mission.carriers[0].name:
+        if kind == "regroup" and fields["robot"] == self.mission.lead.name:
             self._markers.append(Marker("regroup", "regroup", fields["position"], time_s))
 
     def loop(self, progress: Callable[[Progress], None] | None) -> None:
@@ -131,7 +153,8 @@ class Run:
         mission = self.mission
         explored = {agent.name: volume_m3(mission, [agent]) for agent in mission.agents}
         union = volume_m3(mission, mission.agents)
-        row = {"time_s": mission.now_s, "explored_m3/union": union}
+        self._coverage.add([agent.core.explorer.map for agent in mission.agents])
+        row = {"time_s": mission.now_s, "explored_m3/union": union, "coverage": self._coverage.share}
         row |= {f"explored_m3/{name}": volume for name, volume in explored.items()}
         for kind in mission.agents[0].core.link.bytes_sent:
             row[f"bytes/{kind}"] = float(sum(agent.core.link.bytes_sent[kind] for agent in mission.agents))
@@ -141,7 +164,9 @@ class Run:
             duration_s = mission.config.mission.duration_s
             progress(Progress(mission.now_s, duration_s, mission.phase(), explored, union))
 
-    def write(self, out: Path, result: dict[str, Any], progress: Callable[[Progress], None] | None) -> None:
+    def write(
+        self, out: Path, result: dict[str, Any], progress: Callable[[Progress], None] | None, report: bool
+    ) -> None:
         """Write the run directory."""
         self._report(progress)
         record = self.record(result)
@@ -150,7 +175,13 @@ class Run:
         write_json(out / "timeline.json", record.timeline)
         write_json(out / "paths.json", {name: path.round(3) for name, path in record.paths.items()})
         write_ply(out / "map.ply", record.occupied, observer_colours(record.seen_by, len(record.robots)))
-        write_report(out, record)
+        if report:
+            write_report(out, record)
+
+    def write_octomap(self, out: Path) -> None:
+        """Write the merged map as a tree for OctoMap."""
+        merged = merged_map(self.mission)
+        write_octomap(out / "map.bt", merged.occupied_indices(), merged.free_indices(), merged.voxel_m)
 
     def record(self, result: dict[str, Any]) -> RunRecord:
         """The run as the report wants it."""

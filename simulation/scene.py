@@ -29,6 +29,16 @@ class Scene:
         from_numpy = o3d.core.Tensor.from_numpy
         self._scene.add_triangles(from_numpy(points), from_numpy(faces.astype(np.uint32)))
 
+    def add(self, vertices: Float32Array, triangles: NDArray[np.int32]) -> None:
+        """Put more there while the mission runs, such as a door that closes. Raises InputError as above."""
+        points = np.ascontiguousarray(vertices, dtype=np.float32)
+        faces = np.ascontiguousarray(triangles, dtype=np.int32)
+        _check_mesh(points, faces)
+        from_numpy = o3d.core.Tensor.from_numpy
+        self._scene.add_triangles(from_numpy(points), from_numpy(faces.astype(np.uint32)))
+        self.lower = np.minimum(self.lower, points[faces.ravel()].min(axis=0))
+        self.upper = np.maximum(self.upper, points[faces.ravel()].max(axis=0))
+
     def cast(self, origins: NDArray[np.floating], directions: NDArray[np.floating]) -> Float32Array:
         """(N,) distances along `directions` (N, 3), in units of their lengths; inf = nothing hit."""
         rays = np.empty((len(directions), 6), dtype=np.float32)

@@ -24,16 +24,19 @@ def volume_m3(mission: Mission, agents: list[Agent]) -> float:
 
 
 def merged_map(mission: Mission) -> VoxelMap:
-    """The map after the mission: the carrier's, into which the keyframes of the others were integrated."""
-    return mission.carriers[0].core.explorer.map
+    """The map after the mission: the carrier's, into which the keyframes of the others were integrated.
+
+    Without a carrier it is that of the first robot.
+    """
+    return mission.lead.core.explorer.map
 
 
 def metrics(mission: Mission, truth: Truth, wall_s: float) -> dict[str, Any]:
     """Everything of metrics.json. Wall-clock fields: wall_s, plan_ms_p50, plan_ms_p99, map_ms_p50."""
-    deployed = [agent for agent in mission.agents if agent.settings.kind == "aerial" and not agent.carried]
+    flying = [agent for agent in mission.agents if agent.settings.kind == "aerial" and not agent.carried]
     deployment = mission.deployment
     union = volume_m3(mission, mission.agents)
-    regroup = mission.carriers[0].core.role.regroup_point()
+    regroup = mission.lead.core.role.regroup_point()
     score = compare_maps(mission.reference, merged_map(mission), mission.world.lower, mission.world.upper)
     return {
         "world": mission.world.name,
@@ -41,7 +44,7 @@ def metrics(mission: Mission, truth: Truth, wall_s: float) -> dict[str, Any]:
         "duration_s": round(mission.now_s, 1),
         "wall_s": round(wall_s, 1),
         "robots": {agent.name: _robot(mission, agent) for agent in mission.agents},
-        "deployed": bool(deployed),
+        "deployed": bool(mission.carriers and flying),
         "deploy_t_s": None if deployment is None else deployment["time_s"],
         "target": None if deployment is None else _rounded(deployment["target"]),
         "regroup": None if regroup is None else _rounded(regroup),

@@ -56,6 +56,11 @@ class Truth:
         """(N,) whether the voxels (N, 3) hold a piece of the world's surface."""
         return self._flagged(indices, _SURFACE)
 
+    @property
+    def free(self) -> tuple[NDArray[np.int64], Mask]:
+        """Lowest index (3,) of the grid and which of its voxels belong to the reachable free volume."""
+        return self._origin, (self._grid & _FREE) != 0
+
     def in_bounds(self, indices: NDArray[np.int32]) -> Mask:
         """(N,) whether the voxels (N, 3) lie in the world's bounding box."""
         inside: Mask = ((indices >= self._lower) & (indices <= self._upper)).all(axis=1)

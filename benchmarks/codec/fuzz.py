@@ -21,7 +21,7 @@ from rich.console import Console
 from rich.status import Status
 
 from onboard.codec import Keyframe, decode, encode
-from onboard.codec.crc import crc32c
+from onboard.core.crc import crc32c
 from onboard.core.errors import CodecError
 from onboard.core.geometry import Pose
 from onboard.core.lidar import MODELS, LidarModel, Scan

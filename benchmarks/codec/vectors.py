@@ -14,7 +14,7 @@ from rich.console import Console
 
 from benchmarks.matrix import ROOT
 from onboard.codec import Keyframe, decode, encode, truncate
-from onboard.codec.crc import crc32c
+from onboard.core.crc import crc32c
 from onboard.core.geometry import Pose
 from onboard.core.lidar import OS0_64, VLP_16, LidarModel, Scan
 

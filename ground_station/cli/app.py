@@ -10,7 +10,7 @@ import typer
 from rich.markup import escape
 from typer.core import TyperGroup
 
-from ground_station.cli import codec, config, simulate, world
+from ground_station.cli import codec, config, explain, simulate, world
 from ground_station.cli import map as map_command
 from ground_station.cli.terminal import errors
 from onboard.core.errors import MarsupialError
@@ -43,6 +43,7 @@ app = typer.Typer(
 )
 app.command("simulate")(simulate.simulate)
 app.command("map")(map_command.map_recording)
+app.command("explain")(explain.explain)
 app.command("world")(world.draw_world)
 app.add_typer(codec.app, name="codec")
 app.add_typer(config.app, name="config")

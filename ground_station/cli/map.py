@@ -34,6 +34,10 @@ def map_recording(
         Sensor | None, typer.Option(help="The LiDAR, where the recording does not tell.")
     ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the map goes.")] = Path("map"),
+    bt: Annotated[bool, typer.Option("--bt", help="Also write map.bt, a tree for OctoMap.")] = False,
+    mesh: Annotated[
+        bool, typer.Option("--mesh", help="Also write mesh.ply, the surfaces as triangles.")
+    ] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the metrics as JSON and nothing else.")
     ] = False,
@@ -52,9 +56,12 @@ def map_recording(
     terminal.prepare_output(out, force)
 
     from ground_station.recording import map_recording as run
+    from ground_station.recording_session import RecordingSettings
+
+    settings = RecordingSettings(octomap=bt, mesh=mesh)
 
     with progress_bar(visible=not as_json) as report:
-        metrics = run(recording, sensor.value if sensor else None, out, report)
+        metrics = run(recording, sensor.value if sensor else None, out, report, settings)
     terminal.finish(recording.name, metrics, [], out, as_json)
     if metrics.get("complete") is False:  # control-C: the map of the scans before it has been written
         raise KeyboardInterrupt

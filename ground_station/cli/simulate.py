@@ -29,6 +29,7 @@ class Team(StrEnum):
 
     BOTH = "both"
     GROUND = "ground"
+    AERIAL = "aerial"
 
 
 def simulate(
@@ -41,7 +42,7 @@ def simulate(
         float | None, typer.Option(metavar="SECONDS", help="Mission time; the configuration's unless given.")
     ] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run goes.")] = Path("run"),
-    team: Annotated[Team, typer.Option(help="'ground' leaves the aerial robot at home.")] = Team.BOTH,
+    team: Annotated[Team, typer.Option(help="'ground' or 'aerial': one robot alone.")] = Team.BOTH,
     start: Annotated[
         str | None,
         typer.Option(metavar="X,Y,Z", help="Start on the floor, metres; the world's unless given."),
@@ -50,6 +51,7 @@ def simulate(
         Path | None,
         typer.Option(metavar="FILE", help="Team and mission (TOML); the shipped team unless given."),
     ] = None,
+    bt: Annotated[bool, typer.Option("--bt", help="Also write map.bt, a tree for OctoMap.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the metrics as JSON and nothing else.")
     ] = False,
@@ -78,7 +80,7 @@ def simulate(
     from simulation.run import simulate as run
 
     with progress_bar(visible=not as_json) as report:
-        metrics = run(settings, scene, seed=seed, out=out, team=team.value, progress=report)
+        metrics = run(settings, scene, seed=seed, out=out, team=team.value, progress=report, octomap=bt)
     robots = [robot.name for robot in settings.robots]
     terminal.finish(f"{world}, seed {seed}", metrics, robots, out, as_json)
 

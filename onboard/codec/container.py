@@ -6,8 +6,8 @@ import struct
 from dataclasses import dataclass
 from itertools import pairwise
 
-from onboard.codec.crc import crc32c
 from onboard.codec.pose_bits import POSE_BYTES
+from onboard.core.crc import crc32c
 from onboard.core.errors import CodecError, InputError
 from onboard.core.lidar import LidarModel, lidar_model_by_code
 

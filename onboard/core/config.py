@@ -12,6 +12,7 @@ from onboard.core.errors import ConfigError
 
 Positive = Annotated[float, Field(gt=0)]
 NonNegative = Annotated[float, Field(ge=0)]
+SlopeAngle = Annotated[float, Field(ge=0, lt=1.5)]
 Ratio = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[float, float, float]
 Size = tuple[Positive, Positive, Positive]
@@ -62,7 +63,7 @@ class PlannerSettings(Section):
     """Local and global planning of one robot; the symbols are those of docs/planner.md."""
 
     window_m: Size = (30.0, 30.0, 8.0)
-    vertices: Annotated[int, Field(ge=20, le=5000)] = 600
+    vertices: Annotated[int, Field(ge=20, le=5000)] = 700
     edge_max_m: Positive = 3.0
     clearance_m: NonNegative = 0.15
     gain_range_m: Positive = 20.0
@@ -92,7 +93,10 @@ class RobotSettings(Section):
     keyframes: KeyframeSettings
     planner: PlannerSettings = PlannerSettings()
     step_max_m: NonNegative = 0.25
-    slope_max_rad: NonNegative = 0.5236
+    slope_max_rad: SlopeAngle = 0.5236
+    slope_down_max_rad: SlopeAngle | None = None
+    stairs_max_rad: SlopeAngle = 0.6109
+    roll_max_rad: SlopeAngle = 0.3491
     battery_wh: Positive = 1000.0
     hover_power_w: Positive = 100.0
     reserve: Ratio = 0.2
@@ -106,7 +110,9 @@ class DeploymentSettings(Section):
     min_rate_m3_s: Positive = 0.05
     min_volume_m3: Positive = 50.0
     debounce_cycles: Annotated[int, Field(ge=1)] = 3
-    launch_s: NonNegative = 30.0
+    hysteresis: NonNegative = 0.2
+    min_battery: Ratio = 0.6
+    launch_s: Positive = 30.0
     keyframes_sent: Annotated[int, Field(ge=1)] = 300
     overhead_clearance_m: Positive = 0.8
 

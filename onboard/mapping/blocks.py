@@ -142,7 +142,7 @@ def voxel_status(tables: PlanningTables, x: int, y: int, z: int) -> int:
     return FREE if (tables.known[slot, z & 7] >> bit) & 1 else UNKNOWN
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")  # a call would count references of the tables: 40 ns a box
 def index_box_status(
     tables: PlanningTables, x_low: int, y_low: int, z_low: int, x_high: int, y_high: int, z_high: int
 ) -> int:

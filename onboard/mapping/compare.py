@@ -129,7 +129,7 @@ class _Observed(NamedTuple):
 
 def _observed(voxel_map: VoxelMap) -> _Observed:
     store = voxel_map.store
-    return _Observed(store.keys, store.slots, store.occupied, voxel_map.known_masks())
+    return _Observed(store.keys, store.slots, store.occupied(), voxel_map.known_masks())
 
 
 @njit(cache=True, nogil=True)

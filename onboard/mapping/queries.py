@@ -38,7 +38,7 @@ def point_statuses(tables: PlanningTables, points: Points, voxel_m: float, out: 
         out[i] = voxel_status(tables, x, y, z)
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, inline="always")
 def box_status(
     tables: PlanningTables,
     x_low: float,
@@ -188,7 +188,7 @@ def list_voxels(masks: Words, block_keys: Words) -> NDArray[np.int32]:
 
 
 @njit(cache=True, nogil=True)
-def observers(keys: Words, slots: Slots, seen: Words, voxels: Words, out: Statuses) -> None:
+def observers(keys: Words, slots: Slots, own: Words, peer: Words, voxels: Words, out: Statuses) -> None:
     """Bit per source that observed each voxel index."""
     for i in range(voxels.shape[0]):
         x, y, z = voxels[i, 0], voxels[i, 1], voxels[i, 2]
@@ -196,4 +196,4 @@ def observers(keys: Words, slots: Slots, seen: Words, voxels: Words, out: Status
         bit = ((y & 7) << 3) | (x & 7)
         out[i] = 0
         if slot >= 0:
-            out[i] = ((seen[slot, 0, z & 7] >> bit) & 1) | (((seen[slot, 1, z & 7] >> bit) & 1) << 1)
+            out[i] = ((own[slot, z & 7] >> bit) & 1) | (((peer[slot, z & 7] >> bit) & 1) << 1)

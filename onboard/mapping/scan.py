@@ -32,6 +32,7 @@ PASSED, HIT, SHIELDED = 1, 2, 3
 _FRACTION_BITS = 24
 _FRACTION_MASK = (1 << _FRACTION_BITS) - 1
 _FRACTION_ONE = np.float32(1 << _FRACTION_BITS)
+_SPREAD_MASK = (1 << 2 * _FRACTION_BITS) - 1  # 24 bits of cell index above the fraction
 
 Bytes = NDArray[np.uint8]
 Floats = NDArray[np.float32]
@@ -115,12 +116,30 @@ def find_ends(
 
 
 @njit(cache=True, nogil=True)
-def mark_rays(ends: Floats, count: int, origin: NDArray[np.float64], marks: Bytes, touched: Bytes) -> None:
-    """Mark every voxel that a ray crosses from `origin` (in voxels) to its end, both included."""
+def _axis_bits(axis: int) -> int:
+    """The bits of one axis in the blocked cell index."""
+    return (7 << (3 * axis)) | (31 << (9 + 5 * axis))
+
+
+@njit(cache=True, nogil=True)
+def _spread_fixed(value: int, axis: int) -> int:
+    """A fixed-point coordinate with its integer part spread like a cell index, above the fraction bits."""
+    cell_bits: int = _spread(value >> _FRACTION_BITS, axis)
+    return (cell_bits << _FRACTION_BITS) | (value & _FRACTION_MASK)
+
+
+@njit(cache=True, nogil=True)
+def mark_rays(
+    ends: Floats, first: int, last: int, origin: NDArray[np.float64], marks: Bytes, touched: Bytes
+) -> None:
+    """Mark every voxel that rays first..last - 1 cross from `origin` (in voxels) to their ends, both incl.
+
+    Threads may share `marks` and `touched`: every store writes the same value, whoever comes first.
+    """
     base = np.floor(origin).astype(np.int64)
     start = (origin - np.floor(origin)).astype(np.float32)
     one = np.float32(1)
-    for j in range(count):
+    for j in range(first, last):
         step_0, step_1, step_2 = ends[j, 0] - start[0], ends[j, 1] - start[1], ends[j, 2] - start[2]
         # u: the dominant axis; v, w: the others
         if abs(step_0) >= abs(step_1) and abs(step_0) >= abs(step_2):
@@ -133,38 +152,45 @@ def mark_rays(ends: Floats, count: int, origin: NDArray[np.float64], marks: Byte
             continue
         slope_v, slope_w = step_v / abs(step_u), step_w / abs(step_u)
         to_boundary = one - start[u] if step_u > 0 else start[u]
-        # fixed point: window coordinate << 24 | fraction, so that a slab costs two additions
+        # plain fixed point: window coordinate << 24 | fraction, one addition a slab
         advance_v, advance_w = np.int64(slope_v * _FRACTION_ONE), np.int64(slope_w * _FRACTION_ONE)
         speed_v, speed_w = abs(advance_v), abs(advance_w)
-        at_v = ((base[v] & (_WINDOW - 1)) << _FRACTION_BITS) + np.int64(start[v] * _FRACTION_ONE)
-        at_w = ((base[w] & (_WINDOW - 1)) << _FRACTION_BITS) + np.int64(start[w] * _FRACTION_ONE)
-        enter_v, enter_w = _spread(at_v >> _FRACTION_BITS, v), _spread(at_w >> _FRACTION_BITS, w)
-        at_v += np.int64(to_boundary * slope_v * _FRACTION_ONE)
-        at_w += np.int64(to_boundary * slope_w * _FRACTION_ONE)
-        # stepping the spread bits of u: ones in the foreign bits carry an increment through the gaps
-        mask_u = (7 << (3 * u)) | (31 << (9 + 5 * u))
+        flip_v = np.int64(0) if advance_v > 0 else np.int64(_FRACTION_MASK)
+        flip_w = np.int64(0) if advance_w > 0 else np.int64(_FRACTION_MASK)
+        in_v = ((base[v] & (_WINDOW - 1)) << _FRACTION_BITS) + np.int64(start[v] * _FRACTION_ONE)
+        in_w = ((base[w] & (_WINDOW - 1)) << _FRACTION_BITS) + np.int64(start[w] * _FRACTION_ONE)
+        enter_v, enter_w = _spread(in_v >> _FRACTION_BITS, v), _spread(in_w >> _FRACTION_BITS, w)
+        out_v = in_v + np.int64(to_boundary * slope_v * _FRACTION_ONE)
+        out_w = in_w + np.int64(to_boundary * slope_w * _FRACTION_ONE)
+        # the same with spread bits: ones in the foreign bits carry an increment through the gaps
+        mask_u = _axis_bits(u)
+        keep_v = (_axis_bits(v) << _FRACTION_BITS) | _FRACTION_MASK
+        keep_w = (_axis_bits(w) << _FRACTION_BITS) | _FRACTION_MASK
+        fill_v, fill_w = _SPREAD_MASK ^ keep_v, _SPREAD_MASK ^ keep_w
+        at_v, at_w = _spread_fixed(out_v, v), _spread_fixed(out_w, w)
+        move_v, move_w = _spread_fixed(advance_v, v), _spread_fixed(advance_w, w)
         carry_u = ~mask_u if step_u > 0 else np.int64(0)
         direction = 1 if step_u > 0 else -1
         cell_u = _spread(base[u], u)
         for _ in range(abs(np.int64(np.floor(ends[j, u])))):
-            leave_v, leave_w = _spread(at_v >> _FRACTION_BITS, v), _spread(at_w >> _FRACTION_BITS, w)
-            cell = cell_u | enter_v | enter_w
-            marks[cell] = PASSED
-            touched[cell >> 9] = 1
-            cell = cell_u | leave_v | leave_w
-            marks[cell] = PASSED
-            touched[cell >> 9] = 1
+            leave_v, leave_w = at_v >> _FRACTION_BITS, at_w >> _FRACTION_BITS
             # the plane crossed first is the one left farther behind at the exit, in units of speed
-            behind_v = (at_v & _FRACTION_MASK) if advance_v > 0 else _FRACTION_MASK - (at_v & _FRACTION_MASK)
-            behind_w = (at_w & _FRACTION_MASK) if advance_w > 0 else _FRACTION_MASK - (at_w & _FRACTION_MASK)
-            v_first = behind_v * speed_w > behind_w * speed_v
-            cell = (cell_u | leave_v | enter_w) if v_first else (cell_u | enter_v | leave_w)
-            marks[cell] = PASSED
-            touched[cell >> 9] = 1
+            behind_v, behind_w = (at_v ^ flip_v) & _FRACTION_MASK, (at_w ^ flip_w) & _FRACTION_MASK
+            w_first = (behind_v * speed_w - behind_w * speed_v - 1) >> 63
+            turn = (enter_v ^ leave_v ^ enter_w ^ leave_w) & w_first
+            enter = cell_u | enter_v | enter_w
+            leave = cell_u | leave_v | leave_w
+            between = (cell_u | leave_v | enter_w) ^ turn
+            marks[enter] = PASSED
+            marks[leave] = PASSED
+            marks[between] = PASSED
+            touched[enter >> 9] = 1
+            touched[leave >> 9] = 1
+            touched[between >> 9] = 1
             cell_u = ((cell_u | carry_u) + direction) & mask_u
             enter_v, enter_w = leave_v, leave_w
-            at_v += advance_v
-            at_w += advance_w
+            at_v = ((at_v | fill_v) + move_v) & keep_v
+            at_w = ((at_w | fill_w) + move_w) & keep_w
         # the last slab ends at the end point instead of a boundary
         end_v, end_w = ends[j, v], ends[j, w]
         floor_v, floor_w = np.floor(end_v), np.floor(end_w)

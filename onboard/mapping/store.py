@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TypeVar
-
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
@@ -19,51 +17,53 @@ from onboard.mapping.blocks import (
     find_block,
     insert_block,
 )
+from onboard.mapping.details import OCCUPIED, OWN_OCCUPIED, SEEN, Details, grown
 
 UNSEEN = -128
 """Log-odds value of a voxel that no ray has touched."""
 
-_Scalar = TypeVar("_Scalar", bound=np.generic)
+OWN, PEER = 0, 1
+"""Who made an observation: this robot's sensor, or a keyframe that the other robot sent."""
+
 _HASH_PLACES_PER_BLOCK = 4
 
 
 class BlockStore:
     """Rows of blocks: log-odds, bit masks and the hash from key to row. `count` rows are in use.
 
-    log_odds (rows, 512) int8; masks (rows, 8): occupied (log-odds > 0), own_occupied (of these, hit by our
-    own scans), bumped (assumed occupied), planning_occupied, planning_known (with what is assumed);
-    seen (rows, 2, 8): observed by OWN, PEER; changed (rows,): version of the map in which the
-    planning view of the block last changed.
+    log_odds (rows, 512) int8; masks (rows, 8): planning_occupied (log-odds > 0 or assumed), planning_known
+    (observed or assumed); changed (rows,): version of the map in which the planning view of the block last
+    changed. `details` tell who observed what where that is not plain.
     """
 
     def __init__(self, capacity: int = 1024) -> None:
         self.count = 0
         self.block_keys: Words = np.empty(0, np.int64)
         self.log_odds: NDArray[np.int8] = np.empty((0, BLOCK_VOXELS), np.int8)
-        self.seen: Words = np.empty((0, 2, BLOCK_EDGE), np.int64)
-        self.occupied = _no_masks()
-        self.own_occupied = _no_masks()
-        self.bumped = _no_masks()
-        self.planning_occupied = _no_masks()
-        self.planning_known = _no_masks()
+        self.planning_occupied: Words = np.empty((0, BLOCK_EDGE), np.int64)
+        self.planning_known: Words = np.empty((0, BLOCK_EDGE), np.int64)
         self.changed: Words = np.empty(0, np.int64)
+        self.details = Details(0)
         self.keys: Words
         self.slots: Slots
         self._resize(capacity)
 
     def _resize(self, capacity: int) -> None:
-        self.log_odds = _grown(self.log_odds, capacity, UNSEEN)
-        self.block_keys = _grown(self.block_keys, capacity, 0)
-        self.seen = _grown(self.seen, capacity, 0)
-        self.occupied = _grown(self.occupied, capacity, 0)
-        self.own_occupied = _grown(self.own_occupied, capacity, 0)
-        self.bumped = _grown(self.bumped, capacity, 0)
-        self.planning_occupied = _grown(self.planning_occupied, capacity, 0)
-        self.planning_known = _grown(self.planning_known, capacity, 0)
-        self.changed = _grown(self.changed, capacity, 0)
+        self.log_odds = grown(self.log_odds, capacity, UNSEEN)
+        self.block_keys = grown(self.block_keys, capacity, 0)
+        self.planning_occupied = grown(self.planning_occupied, capacity, 0)
+        self.planning_known = grown(self.planning_known, capacity, 0)
+        self.changed = grown(self.changed, capacity, 0)
+        self.details.reserve_blocks(capacity)
         self.keys = np.full(_HASH_PLACES_PER_BLOCK * capacity, NO_BLOCK, np.int64)
         self.slots = np.empty(self.keys.size, np.int32)
-        _fill_hash(self.keys, self.slots, self.block_keys, self.count)
+        fill_hash(self.keys, self.slots, self.block_keys, self.count)
+
+    def restore_keys(self, block_keys: NDArray[np.signedinteger]) -> None:
+        """Take the keys (N,) of the first N rows from a file; the store must be new and large enough."""
+        self.count = len(block_keys)
+        self.block_keys[: self.count] = block_keys
+        fill_hash(self.keys, self.slots, self.block_keys, self.count)
 
     def slots_of(self, wanted: Words) -> Words:
         """Rows of these block keys (N,), created where missing."""
@@ -77,23 +77,40 @@ class BlockStore:
         self.count = count
         return bool(complete)
 
+    def detail(self, rows: Words) -> None:
+        """Keep details of these rows (N,) from now on."""
+        self.details.ensure(rows, self.planning_occupied, self.planning_known)
+
+    def occupied(self) -> Words:
+        """(count, 8) masks of the voxels with log-odds above 0; a copy, like those below."""
+        return self.details.selected(OCCUPIED, self.count, self.planning_occupied[: self.count])
+
+    def own_occupied(self) -> Words:
+        """(count, 8) masks of the occupied voxels that our own scans have hit."""
+        return self.details.selected(OWN_OCCUPIED, self.count, self.planning_occupied[: self.count])
+
+    def seen(self, source: int) -> Words:
+        """(count, 8) masks of the voxels that a source (OWN, PEER) has observed."""
+        known = self.planning_known[: self.count]
+        return self.details.selected(
+            SEEN + source, self.count, known if source == OWN else np.zeros_like(known)
+        )
+
+    def used_bytes(self) -> int:
+        """Memory of the blocks in use with their share of the hash table; growing reserves more than that."""
+        row = self.log_odds[:1].nbytes + 2 * self.planning_known[:1].nbytes + self.details.row_of[:1].nbytes
+        row += self.block_keys[:1].nbytes + self.changed[:1].nbytes
+        row += _HASH_PLACES_PER_BLOCK * (self.keys[:1].nbytes + self.slots[:1].nbytes)
+        return self.count * row + self.details.count * self.details.masks[:1].nbytes
+
     def planning_tables(self) -> PlanningTables:
         """Views for planning kernels, valid until the next change."""
         return PlanningTables(self.keys, self.slots, self.planning_occupied, self.planning_known)
 
 
-def _no_masks() -> Words:
-    return np.empty((0, BLOCK_EDGE), np.int64)
-
-
-def _grown(array: NDArray[_Scalar], rows: int, fill: int) -> NDArray[_Scalar]:
-    grown = np.full((rows, *array.shape[1:]), fill, array.dtype)
-    grown[: array.shape[0]] = array
-    return grown
-
-
 @njit(cache=True, nogil=True)
-def _fill_hash(keys: Words, slots: Slots, block_keys: Words, count: int) -> None:
+def fill_hash(keys: Words, slots: Slots, block_keys: Words, count: int) -> None:
+    """Enter the first `count` rows into an empty table."""
     for slot in range(count):
         insert_block(keys, slots, block_keys[slot], slot)
 

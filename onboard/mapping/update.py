@@ -7,8 +7,9 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.mapping.blocks import Slots, Words, block_of_key, dilate_block
+from onboard.mapping.details import BUMPED, OCCUPIED, OWN_OCCUPIED, SEEN
 from onboard.mapping.scan import HIT, PASSED, SHIELDED
-from onboard.mapping.store import UNSEEN
+from onboard.mapping.store import OWN, UNSEEN
 
 LOG_ODDS_MIN, LOG_ODDS_MAX = -40, 70
 """In steps of 0.05: -2.0 and 3.5, the clamping limits of OctoMap (Hornung et al. 2013)."""
@@ -54,21 +55,21 @@ def apply_marks(
     miss: int,
     source: int,
     log_odds: NDArray[np.int8],
-    seen: Words,
-    occupied: Words,
-    own_occupied: Words,
-    bumped: Words,
     planning_occupied: Words,
     planning_known: Words,
     changed: Words,
+    detail_of: Slots,
+    details: Words,
     version: int,
 ) -> None:
     """Log-odds update with clamping, masks of the touched blocks, and zeroed marks.
 
-    Blocks whose planning masks come out different get `version` in `changed`. Casts after each operation keep
-    8-bit lanes: numba would widen to int64 (15 times slower).
+    Blocks whose planning masks come out different get `version` in `changed`; a PEER's blocks must have
+    details. Threads may share everything but the rows. Casts after each operation keep 8-bit lanes: numba
+    would widen to int64 (15 times slower).
     """
     gain, loss = _int8(hit), _int8(miss)
+    occupied, seen = np.empty(8, np.int64), np.empty(8, np.int64)
     for i in range(rows.size):
         row = rows[i]
         values = log_odds[row]
@@ -81,23 +82,30 @@ def apply_marks(
             new = _int8(LOG_ODDS_MIN) if new < _int8(LOG_ODDS_MIN) else new
             new = _int8(LOG_ODDS_MAX) if new > _int8(LOG_ODDS_MAX) else new
             values[k] = new if mark != 0 else old
-        difference = np.int64(0)
         for z in range(8):
-            occupied_bits, seen_bits, hit_bits = np.int64(0), np.int64(0), np.int64(0)
+            occupied_bits, seen_bits = np.int64(0), np.int64(0)
             layer_values = values[64 * z : 64 * z + 64]
             layer_marks = block_marks[64 * z : 64 * z + 64]
             for k in range(64):
                 occupied_bits |= np.int64(layer_values[k] > 0) << k
                 seen_bits |= np.int64(layer_marks[k] != 0) << k
-                hit_bits |= np.int64(layer_marks[k] == HIT) << k
-            occupied[row, z] = occupied_bits
-            seen[row, source, z] |= seen_bits
-            own_hits = hit_bits if source == 0 else np.int64(0)
-            own_occupied[row, z] = (own_occupied[row, z] | own_hits) & occupied_bits
-            planned = occupied_bits | bumped[row, z]
-            difference |= (planned ^ planning_occupied[row, z]) | (seen_bits & ~planning_known[row, z])
-            planning_occupied[row, z] = planned
-            planning_known[row, z] |= seen_bits
+            occupied[z], seen[z] = occupied_bits, seen_bits
+        detail = detail_of[row]
+        if detail >= 0:
+            for z in range(8):
+                own_hits = np.int64(0)
+                if source == OWN:
+                    for k in range(64):
+                        own_hits |= np.int64(block_marks[64 * z + k] == HIT) << k
+                own_occupied = (details[detail, OWN_OCCUPIED, z] | own_hits) & occupied[z]
+                details[detail, OCCUPIED, z], details[detail, OWN_OCCUPIED, z] = occupied[z], own_occupied
+                details[detail, SEEN + source, z] |= seen[z]
+                occupied[z] |= details[detail, BUMPED, z]
+        difference = np.int64(0)
+        for z in range(8):
+            difference |= (occupied[z] ^ planning_occupied[row, z]) | (seen[z] & ~planning_known[row, z])
+            planning_occupied[row, z] = occupied[z]
+            planning_known[row, z] |= seen[z]
         if difference != 0:
             changed[row] = version
         block_marks[:] = 0

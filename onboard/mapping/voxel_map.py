@@ -15,12 +15,11 @@ from onboard.mapping.blocks import (
     PlanningTables,
     Words,
 )
-from onboard.mapping.store import BlockStore, block_keys_of_box, block_keys_of_voxels
+from onboard.mapping.details import BUMPED
+from onboard.mapping.store import OWN, PEER, BlockStore, block_keys_of_box, block_keys_of_voxels
+from onboard.mapping.workers import Workers
 
 __all__ = ["FREE", "OCCUPIED", "OWN", "PEER", "UNKNOWN", "VoxelMap"]
-
-OWN, PEER = 0, 1
-"""Who made an observation: this robot's sensor, or a keyframe that the other robot sent."""
 
 _HIT = (17, 10)
 _MISS = (-8, -4)
@@ -37,8 +36,13 @@ class VoxelMap:
     assumed. `version` grows with every change; `changed_since` tells where.
     """
 
-    def __init__(self, voxel_m: float = 0.2, max_range_m: float = 20.0) -> None:
-        """Raises InputError if max_range_m is longer than the scratch window allows."""
+    def __init__(self, voxel_m: float = 0.2, max_range_m: float = 20.0, threads: int = 1) -> None:
+        """`threads` share the work of a scan; the map does not depend on them.
+
+        Raises InputError if max_range_m is longer than the scratch window allows, or without a thread.
+        """
+        if threads < 1:
+            raise InputError(f"a map needs at least one thread, got {threads}")
         if not 0 < max_range_m <= scan.REACH_VOXELS * voxel_m:
             raise InputError(
                 f"map range {max_range_m} m must lie within 0 and {scan.REACH_VOXELS} voxels of {voxel_m} m"
@@ -48,6 +52,7 @@ class VoxelMap:
         self.version = 0
         self.store = BlockStore()
         self._scratch: scan.ScanScratch | None = None
+        self.workers = Workers(threads)
 
     def integrate(
         self,
@@ -84,7 +89,11 @@ class VoxelMap:
         rotation, origin = pose[:3, :3].astype(np.float32), pose[:3, 3] / self.voxel_m
         limits = self.voxel_m, min_range_m, self.max_range_m
         count = scan.find_ends(points, rotation, origin, *limits, seen, ends, cells, beyond)
-        scan.mark_rays(ends, count, origin, marks, touched)
+
+        def mark(first: int, last: int) -> None:
+            scan.mark_rays(ends, first, last, origin, marks, touched)
+
+        self.workers.share(count, mark)
         scan.mark_hits(cells, beyond, count, marks, touched, seen)
         return int(scan.collect_touched(touched, origin, scratch.window_blocks, scratch.block_keys))
 
@@ -92,39 +101,26 @@ class VoxelMap:
         store, blocks = self.store, scratch.window_blocks[:touched]
         rows = store.slots_of(scratch.block_keys[:touched])
         if source == PEER:
-            update.shield_own_surfaces(
-                blocks,
-                rows,
-                scratch.marks,
-                store.keys,
-                store.slots,
-                store.block_keys,
-                store.occupied,
-                store.own_occupied,
-            )
-        update.apply_marks(
-            blocks,
-            rows,
-            scratch.marks,
-            _HIT[source],
-            _MISS[source],
-            source,
-            store.log_odds,
-            store.seen,
-            store.occupied,
-            store.own_occupied,
-            store.bumped,
-            store.planning_occupied,
-            store.planning_known,
-            store.changed,
-            self.version,
-        )
+            store.detail(rows)
+            own = store.own_occupied()
+            tables = store.keys, store.slots, store.block_keys, store.occupied(), own
+            update.shield_own_surfaces(blocks, rows, scratch.marks, *tables)
+        masks = store.planning_occupied, store.planning_known, store.changed
+        details = store.details.row_of, store.details.masks
+        steps = _HIT[source], _MISS[source], source
+
+        def apply(first: int, last: int) -> None:
+            part = blocks[first:last], rows[first:last], scratch.marks
+            update.apply_marks(*part, *steps, store.log_odds, *masks, *details, self.version)
+
+        self.workers.share(touched, apply)
 
     def assume_free(self, lower: ArrayLike, upper: ArrayLike) -> None:
         """Let planning treat what is still unknown in this box (metres) as free until it is observed."""
         first = np.floor(np.asarray(lower) / self.voxel_m + TOUCH_TOLERANCE).astype(np.int64)
         last = np.ceil(np.asarray(upper) / self.voxel_m - TOUCH_TOLERANCE).astype(np.int64) - 1
         rows = self.store.slots_of(block_keys_of_box(first >> 3, last >> 3))
+        self.store.detail(rows)
         queries.set_within(self.store.planning_known, rows, self.store.block_keys, first, last)
         self._note_change(rows)
 
@@ -134,7 +130,10 @@ class VoxelMap:
         store = self.store
         rows = store.slots_of(block_keys_of_voxels(voxels))
         bits = np.left_shift(1, (voxels[:, 1] & 7) << 3 | (voxels[:, 0] & 7))
-        for masks in (store.bumped, store.planning_occupied, store.planning_known):
+        store.detail(rows)
+        details = store.details
+        np.bitwise_or.at(details.masks[:, BUMPED], (details.row_of[rows], voxels[:, 2] & 7), bits)
+        for masks in (store.planning_occupied, store.planning_known):
             np.bitwise_or.at(masks, (rows, voxels[:, 2] & 7), bits)
         self._note_change(rows)
 
@@ -189,8 +188,8 @@ class VoxelMap:
 
     def known_masks(self, source: int | None = None) -> Words:
         """(blocks, 8) masks of the voxels that `source` (None: anyone) has observed."""
-        seen = self.store.seen[: self.store.count]
-        return seen[:, 0] | seen[:, 1] if source is None else np.ascontiguousarray(seen[:, source])
+        store = self.store
+        return store.seen(OWN) | store.seen(PEER) if source is None else store.seen(source)
 
     def known_count(self, lower: ArrayLike, upper: ArrayLike, source: int | None = None) -> int:
         """Number of observed voxels whose centres lie in [lower, upper), metres."""
@@ -204,11 +203,11 @@ class VoxelMap:
 
     def occupied_indices(self) -> Indices:
         """(N, 3) indices of the occupied voxels, sorted."""
-        return self._indices(self.store.occupied[: self.store.count])
+        return self._indices(self.store.occupied())
 
     def free_indices(self) -> Indices:
         """(N, 3) indices of the observed voxels that are not occupied, sorted."""
-        return self._indices(self.known_masks() & ~self.store.occupied[: self.store.count])
+        return self._indices(self.known_masks() & ~self.store.occupied())
 
     def _indices(self, masks: Words) -> Indices:
         voxels: Indices = queries.list_voxels(masks, self.store.block_keys[: self.store.count])
@@ -218,7 +217,8 @@ class VoxelMap:
         """(N,) who observed the voxels with these indices (N, 3): bit 0 own, bit 1 peer."""
         voxels = np.ascontiguousarray(indices, np.int64).reshape(-1, 3)
         out = np.empty(len(voxels), np.uint8)
-        queries.observers(self.store.keys, self.store.slots, self.store.seen, voxels, out)
+        store = self.store
+        queries.observers(store.keys, store.slots, store.seen(OWN), store.seen(PEER), voxels, out)
         return out
 
 

@@ -107,31 +107,43 @@ def squared_distances(status: NDArray[np.uint8], radius: int) -> NDArray[np.int1
     minima over +-radius rows of int16 beat the bookkeeping of parabolas.
     """
     size_z, size_y, size_x = status.shape
+    cap = radius * radius
     squared = np.empty(status.shape, np.int16)
-    across = np.empty((size_y, size_x), np.int16)
+    across, upright = np.empty((size_y, size_x), np.int16), np.empty((size_z, size_x), np.int16)
+    lowest = np.empty(max(size_y, size_z), np.int64)  # of each row, to pass over those that cannot lower any
     for z in range(size_z):
         for y in range(size_y):
-            _squares_along_row(status[z, y], radius, across[y])
+            lowest[y] = _squares_along_row(status[z, y], radius, across[y])
         for y in range(size_y):
             row = squared[z, y]
             row[:] = across[y]
             for other in range(max(0, y - radius + 1), min(size_y, y + radius)):
-                _lower(row, across[other], (other - y) * (other - y))
-    upright = np.empty((size_z, size_x), np.int16)
+                offset = (other - y) * (other - y)
+                if lowest[other] + offset < cap and other != y:
+                    _lower(row, across[other], offset)
     for y in range(size_y):
         for z in range(size_z):
             upright[z] = squared[z, y]
+            lowest[z] = upright[z].min()
         for z in range(size_z):
             row = squared[z, y]
             for other in range(max(0, z - radius + 1), min(size_z, z + radius)):
-                _lower(row, upright[other], (other - z) * (other - z))
+                offset = (other - z) * (other - z)
+                if lowest[other] + offset < cap and other != z:
+                    _lower(row, upright[other], offset)
     return squared
 
 
 @njit(cache=True, nogil=True)
-def _squares_along_row(status: NDArray[np.uint8], radius: int, out: NDArray[np.int16]) -> None:
-    """Squared distance to the nearest occupied voxel of a row, capped at radius^2."""
-    distance = radius
+def _squares_along_row(status: NDArray[np.uint8], radius: int, out: NDArray[np.int16]) -> int:
+    """Squared distance to the nearest occupied voxel of a row, capped at radius^2; returns the smallest."""
+    occupied = False
+    for x in range(out.size):
+        occupied |= status[x] == OCCUPIED
+    if not occupied:
+        out[:] = radius * radius
+        return radius * radius
+    distance = lowest = radius
     for x in range(out.size):
         distance = 0 if status[x] == OCCUPIED else min(distance + 1, radius)
         out[x] = distance
@@ -139,7 +151,9 @@ def _squares_along_row(status: NDArray[np.uint8], radius: int, out: NDArray[np.i
     for x in range(out.size - 1, -1, -1):
         distance = 0 if status[x] == OCCUPIED else min(distance + 1, radius)
         nearest = min(int(out[x]), distance)
+        lowest = min(lowest, nearest)
         out[x] = nearest * nearest
+    return lowest * lowest
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -9,9 +11,12 @@ from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import lidar_model
 from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
-from onboard.planning.aerial_graph import Area, build_aerial_graph
+from onboard.planning.aerial_graph import build_aerial_graph
+from onboard.planning.air_space import Area
 from onboard.planning.gain import GainModel
-from onboard.planning.gait import gait_of
+from onboard.planning.gain_cache import GainCache
+from onboard.planning.gain_path import PathGain
+from onboard.planning.gait import gait_of, slopes_of
 from onboard.planning.ground_graph import build_ground_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph
 
@@ -32,8 +37,10 @@ class Body:
             voxel_m=voxel_m,
             occlusion_rate_per_m=settings.planner.occlusion_rate_per_m,
         )
+        self.gain_cache = GainCache(self.gain_model)
+        self._path_gain = PathGain(self.gain_model)
         self._corners = _circle(np.hypot(*settings.size_m[:2]) / 2, settings.size_m[2])
-        self._gait = gait_of(settings.size_m, settings.step_max_m, settings.slope_max_rad, voxel_m)
+        self._gait = gait_of(settings.size_m, settings.step_max_m, slopes_of(settings), voxel_m)
         length, width, height = settings.size_m
         if settings.kind == "ground":
             # the upper half of the body: below it, a tread of the stairs ahead would look like an obstacle
@@ -66,7 +73,11 @@ class Body:
         """Volume in m^3 (N,) that the robot's LiDAR would newly see from reference points (N, 3)."""
         if len(points) == 0:
             return np.zeros(0)
-        return np.asarray(self.gain_model.evaluate(voxel_map, points + self.mount, self.area_m), np.float64)
+        return self.gain_cache.evaluate(voxel_map, points + self.mount, self.area_m)
+
+    def path_gains(self, voxel_map: VoxelMap, paths: Sequence[FloatArray]) -> FloatArray:
+        """Volume in m^3 (P,) that the views along each path, reference points (M, 3), show together."""
+        return self._path_gain.evaluate(voxel_map, [path + self.mount for path in paths], self.area_m)
 
     def room_to_turn(self, voxel_map: VoxelMap, point: FloatArray) -> bool:
         """Whether nothing is known to stand where the corners of a body at `point` (3,) sweep."""

@@ -10,6 +10,7 @@ from onboard.planning.plan import NOTHING, Plan
 CHOSEN = "chosen"
 LOWER = "lower score"
 TOO_LATE = "no time to be back"
+COLLIDES = "collides"
 
 
 @dataclass
@@ -44,6 +45,10 @@ class Cycle:
     stages_ms: dict[str, float] = field(default_factory=dict)
     candidates: list[Candidate] = field(default_factory=list)
     choice: Plan = NOTHING
+    blocking: list[list[float]] = field(default_factory=list)
+    """Centres in metres of the voxels around a robot that cannot start."""
+    left: dict[str, float] = field(default_factory=dict)
+    """When nothing was chosen: volume in m^3 that frontiers promise, by why none of them is gone to."""
 
     def described(self) -> dict[str, Any]:
         """Plain data for the event log."""
@@ -53,4 +58,6 @@ class Cycle:
             "counts": dict(self.counts),
             "stages_ms": {name: round(value, 2) for name, value in self.stages_ms.items()},
             "candidates": [candidate.described() for candidate in self.candidates],
+            **({"blocking": self.blocking} if self.blocking else {}),
+            **({"left": self.left} if self.left else {}),
         }

@@ -11,6 +11,7 @@ bracket is flight time that can never be used.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,20 +50,30 @@ class Decision:
 
 
 def aerial_outlook(
-    voxel_map: VoxelMap, body: Body, take_off: FloatArray, rng: np.random.Generator, launch_s: float
+    voxel_map: VoxelMap,
+    body: Body,
+    take_off: FloatArray,
+    rng: np.random.Generator,
+    launch_s: float,
+    left: Callable[[FloatArray], FloatArray] | None = None,
 ) -> AerialOutlook | None:
-    """Virtual aerial graph rooted at `take_off` (3,) on the carrier's own map; None if it is boxed in."""
+    """Virtual aerial graph rooted at `take_off` (3,) on the carrier's own map; None if it is boxed in.
+
+    `left` tells which share (N,) of the gains at places (N, 3) other robots leave to this one.
+    """
     graph = body.graph(voxel_map, take_off, rng, None)
     assert isinstance(graph, AerialGraph)
     if len(graph.points) < 10 or np.linalg.norm(graph.points[0] - take_off) > 0.5:
         return None
     views = thin(graph.points, 2.0, body.planner.gain_vertices)
     gains = body.gains(voxel_map, graph.points[views])
+    if left is not None:
+        gains = gains * left(graph.points[views])
     rates = gains / (graph.distances_m[views] / body.settings.speed_m_s + launch_s)
     order = np.argsort(-rates, kind="stable")
     targets = _apart(graph.points[views[order]], 3)
     best = int(order[0])
-    counts = body.gain_model.ray_count(voxel_map, graph.points[views] + body.mount)
+    counts = body.gain_model.ray_count(voxel_map, graph.points[views] + body.mount, body.area_m)
     return AerialOutlook(targets, float(gains[best]), float(rates[best]), float(np.max(counts)))
 
 
@@ -83,11 +94,21 @@ class Trigger:
         self._cycles = 0
 
     def evaluate(
-        self, ground: float, outlook: AerialOutlook | None, remaining_s: float, carrier: Pose
+        self,
+        ground: float,
+        outlook: AerialOutlook | None,
+        remaining_s: float,
+        carrier: Pose,
+        charge: float | None = 1.0,
     ) -> Decision:
-        """One planning cycle. `ground` is the carrier's best gain: m^3/s for `rate`, ray count for
-        `paper`."""
+        """One planning cycle. `ground` is the carrier's best gain: m^3/s for `rate`, ray count for `paper`.
+
+        `charge` in [0, 1] is that of the robot aboard, None if nothing was heard of it.
+        """
         decision = self._decide(ground, outlook, remaining_s, carrier)
+        veto = self._veto(carrier, charge)
+        if decision.fire and veto is not None:
+            decision = Decision(False, veto, decision.ground, decision.aerial, decision.threshold)
         self._cycles = self._cycles + 1 if decision.fire else 0
         if decision.fire and self._cycles < self._settings.debounce_cycles:
             return Decision(False, "debounce", decision.ground, decision.aerial, decision.threshold)
@@ -103,14 +124,24 @@ class Trigger:
         aerial = outlook.ray_count if paper else outlook.rate_m3_s
         floor = 0.0 if paper else settings.min_rate_m3_s
         gamma = settings.gamma if paper else settings.gamma * self.scarcity(remaining_s)
+        if self._cycles > 0 and not paper:
+            gamma -= settings.hysteresis  # a wish that was there a cycle ago need not be as strong again
         threshold = float(np.exp(gamma)) * max(ground, floor)
-        if tilt(carrier) > MAX_TILT_RAD:
-            return Decision(False, "carrier not level", ground, aerial, threshold)
         if outlook.volume_m3 < settings.min_volume_m3:
             return Decision(False, "too little to gain in the air", ground, aerial, threshold)
         if aerial < threshold:
             return Decision(False, "the carrier does well itself", ground, aerial, threshold)
         return Decision(True, "the aerial robot would gain more", ground, aerial, threshold)
+
+    def _veto(self, carrier: Pose, charge: float | None) -> str | None:
+        """What forbids a release however much there is to gain."""
+        if tilt(carrier) > MAX_TILT_RAD:
+            return "carrier not level"
+        if charge is None:
+            return "no word from the robot aboard"
+        if charge < self._settings.min_battery:
+            return "the robot aboard is not charged"
+        return None
 
     def scarcity(self, remaining_s: float) -> float:
         """1 while flight time is scarce, 0 when the rest of the mission fits into one flight."""

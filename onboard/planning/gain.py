@@ -14,21 +14,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from onboard.core.errors import InputError
 from onboard.core.lidar import LidarModel
-from onboard.mapping.blocks import (
-    BLOCK_EDGE,
-    NO_BLOCK,
-    PlanningTables,
-    block_key,
-    block_of_key,
-    dilate_block,
-)
-from onboard.mapping.queries import clipped_bits
 from onboard.mapping.voxel_map import VoxelMap
+from onboard.planning.gain_table import Cells
+from onboard.planning.gain_window import Bounds, GainWindow
 from onboard.planning.ray_template import (
     MASK_X,
     MASK_Y,
     MASK_Z,
-    TABLE_BITS,
     TABLE_BLOCKS,
     Fan,
     Template,
@@ -39,10 +31,6 @@ from onboard.planning.ray_template import (
 UNKNOWN_VOXEL_GAIN = 60.0
 """Weight of one unknown voxel on a ray in GBPlanner's count (Dang et al. 2020, published configuration)."""
 
-_ALL_UNKNOWN, _ALL_KNOWN, _FIRST_ROW = 0, 1, 2
-"""Rows of the gathered masks that stand for whole blocks, and the first of a real block."""
-
-Bounds = tuple[ArrayLike, ArrayLike]
 Floats = NDArray[np.float64]
 Words = NDArray[np.int64]
 
@@ -70,13 +58,13 @@ class GainModel:
         """
         self.voxel_m = voxel_m
         self.fan = Fan.between(elevation_min_rad, elevation_max_rad, step_rad)
-        self._close_gaps = close_gaps
         reach = int(np.ceil(range_m / voxel_m)) + 1
-        self._reach_blocks = (reach >> 3) + 1
-        self._tile_blocks = TABLE_BLOCKS - 2 * self._reach_blocks
-        if self._tile_blocks < 1:
+        self.reach_blocks = (reach >> 3) + 1
+        if TABLE_BLOCKS - 2 * self.reach_blocks < 1:
             raise InputError(f"gain range {range_m} m is too long for voxels of {voxel_m} m")
-        self._template = build_template(self.fan, range_m, voxel_m, occlusion_rate_per_m)
+        self._range_voxels = range_m / voxel_m
+        self.template = build_template(self.fan, range_m, voxel_m, occlusion_rate_per_m)
+        self.window = GainWindow(self.reach_blocks, close_gaps)
 
     @classmethod
     def for_lidar(
@@ -103,128 +91,46 @@ class GainModel:
         self, voxel_map: VoxelMap, positions: ArrayLike, bounds: Bounds | None = None
     ) -> tuple[Floats, Floats]:
         """Both gains, (N,) each, in one pass."""
+        voxels = self.voxels(voxel_map, positions)
+        self.window.refresh(voxel_map, bounds)
+        return self.evaluate_voxels(voxels)
+
+    def voxels(self, voxel_map: VoxelMap, positions: ArrayLike) -> Words:
+        """(N, 3) voxels of positions (N, 3); raises InputError if the voxel sizes differ."""
         if voxel_map.voxel_m != self.voxel_m:
             raise InputError(
                 f"the gain model is for voxels of {self.voxel_m} m, the map has {voxel_map.voxel_m} m"
             )
-        scaled = np.asarray(positions, np.float64).reshape(-1, 3) / self.voxel_m
-        voxels = np.floor(scaled).astype(np.int64)
+        return np.floor(np.asarray(positions, np.float64).reshape(-1, 3) / self.voxel_m).astype(np.int64)
+
+    def evaluate_voxels(self, voxels: Words) -> tuple[Floats, Floats]:
+        """Both gains (N,) from voxels (N, 3) on the map that the window was refreshed with."""
         volumes, counts = np.zeros(len(voxels)), np.zeros(len(voxels))
-        for first, members in self._tiles(voxels >> 3):
-            tables = voxel_map.planning_tables()
-            table, masks = _gather_blocks(tables, first)
-            if self._close_gaps:
-                masks = _close_surfaces(tables, table, masks, first)
-            if bounds is not None:
-                masks = _close_bounds(table, masks, first, *voxel_map.index_bounds(*bounds))
-            _evaluate(voxels, members, self._template, table, masks, volumes, counts)
+        for members in self.tiles(voxels >> 3):
+            blocks = voxels[members] >> 3
+            self.window.cover(blocks.min(axis=0), blocks.max(axis=0))
+            _evaluate(voxels, members, self.template, self.window.cells, volumes, counts)
         return volumes, counts * UNKNOWN_VOXEL_GAIN
 
-    def _tiles(self, blocks: Words) -> Iterator[tuple[Words, Words]]:
-        """First block of a table and the positions whose rays stay inside it; a local graph needs one."""
+    def reachable_blocks(self) -> NDArray[np.bool_]:
+        """(E, E, E) whether a ray from a voxel of the block in the middle may reach a block: x, y, z."""
+        offsets = np.arange(-self.reach_blocks, self.reach_blocks + 1)
+        gaps = np.maximum(8.0 * np.abs(offsets) - 7.5, 0.0)  # from a voxel's centre to the nearest face
+        x, y, z = np.meshgrid(gaps, gaps, gaps, indexing="ij")
+        steepest = np.clip([-self.fan.directions[:, 2].min(), self.fan.directions[:, 2].max()], 0, None)
+        rise = np.where(offsets < 0, *steepest) * self._range_voxels
+        near = np.sqrt(x**2 + y**2 + z**2) <= self._range_voxels + 1
+        return np.asarray(near & (gaps <= rise + 1)[None, None])
+
+    def tiles(self, blocks: Words) -> Iterator[Words]:
+        """Groups of positions whose rays stay inside one table; a local graph needs one."""
         if len(blocks) == 0:
             return
+        span = TABLE_BLOCKS - 2 * self.reach_blocks
         corner = blocks.min(axis=0)
-        tiles, tile_of = np.unique((blocks - corner) // self._tile_blocks, axis=0, return_inverse=True)
-        for number, tile in enumerate(tiles):
-            first = corner + tile * self._tile_blocks - self._reach_blocks
-            yield first, np.flatnonzero(tile_of.reshape(-1) == number)
-
-
-@njit(cache=True, nogil=True)
-def _table_place(x: int, y: int, z: int) -> int:
-    """Place of a block in the table, modulo its size."""
-    wrap = TABLE_BLOCKS - 1
-    return (x & wrap) | ((y & wrap) << TABLE_BITS) | ((z & wrap) << (2 * TABLE_BITS))
-
-
-@njit(cache=True, nogil=True)
-def _gather_blocks(tables: PlanningTables, first: Words) -> tuple[NDArray[np.int32], Words]:
-    """Compact copy of the blocks from `first` on, one table long per axis.
-
-    It is local in memory and spares the kernel a branch: row _ALL_UNKNOWN serves the absent blocks. Words
-    alternate occupied, known.
-    """
-    found = np.empty(tables.keys.size, np.int64)
-    count = 0
-    for place in range(tables.keys.size):
-        if tables.keys[place] != NO_BLOCK:
-            x, y, z = block_of_key(tables.keys[place])
-            x, y, z = x - first[0], y - first[1], z - first[2]
-            if min(x, y, z) >= 0 and max(x, y, z) < TABLE_BLOCKS:
-                found[count] = place
-                count += 1
-    table = np.full(TABLE_BLOCKS**3, _ALL_UNKNOWN, np.int32)
-    masks = np.empty((_FIRST_ROW + count, 2 * BLOCK_EDGE), np.int64)
-    masks[_ALL_UNKNOWN] = 0
-    masks[_ALL_KNOWN, 0::2], masks[_ALL_KNOWN, 1::2] = 0, -1
-    for i in range(count):
-        slot = tables.slots[found[i]]
-        for z in range(BLOCK_EDGE):
-            masks[_FIRST_ROW + i, 2 * z] = tables.occupied[slot, z]
-            masks[_FIRST_ROW + i, 2 * z + 1] = tables.known[slot, z]
-        x, y, z = block_of_key(tables.keys[found[i]])
-        table[_table_place(x, y, z)] = _FIRST_ROW + i
-    return table, masks
-
-
-@njit(cache=True, nogil=True)
-def _close_surfaces(tables: PlanningTables, table: NDArray[np.int32], masks: Words, first: Words) -> Words:
-    """Count unknown voxels next to occupied ones as occupied; returns the masks, with rows added."""
-    layers, grown = np.empty(10, np.int64), np.empty(BLOCK_EDGE, np.int64)
-    done = np.zeros(table.size, np.bool_)
-    rows = masks.shape[0]
-    masks = np.concatenate((masks, np.zeros((2 * rows + 27, 2 * BLOCK_EDGE), np.int64)))
-    for place in range(tables.keys.size):
-        if tables.keys[place] == NO_BLOCK or not tables.occupied[tables.slots[place]].any():
-            continue
-        centre_x, centre_y, centre_z = block_of_key(tables.keys[place])
-        for neighbour in range(27):
-            x, y = centre_x + neighbour % 3 - 1, centre_y + (neighbour // 3) % 3 - 1
-            z = centre_z + neighbour // 9 - 1
-            inside = min(x - first[0], y - first[1], z - first[2]) >= 0
-            if not inside or max(x - first[0], y - first[1], z - first[2]) >= TABLE_BLOCKS:
-                continue
-            cell = _table_place(x, y, z)
-            if done[cell]:
-                continue
-            done[cell] = True
-            dilate_block(tables.keys, tables.slots, tables.occupied, (x, y, z), layers, grown)
-            if table[cell] == _ALL_UNKNOWN and grown.any():
-                if rows == masks.shape[0]:
-                    masks = np.concatenate((masks, np.zeros((rows, 2 * BLOCK_EDGE), np.int64)))
-                table[cell] = rows
-                rows += 1
-            if table[cell] >= _FIRST_ROW:
-                for layer in range(BLOCK_EDGE):
-                    masks[table[cell], 2 * layer] |= grown[layer] & ~masks[table[cell], 2 * layer + 1]
-    return masks[:rows]
-
-
-@njit(cache=True, nogil=True)
-def _close_bounds(table: NDArray[np.int32], masks: Words, first: Words, low: Words, high: Words) -> Words:
-    """Make everything outside the inclusive index bounds known; returns the masks, with rows added."""
-    inside = np.empty(BLOCK_EDGE, np.int64)
-    first_inner, last_inner = (low + 7) >> 3, (high - 7) >> 3
-    rows = masks.shape[0]
-    masks = np.concatenate((masks, np.empty((6 * TABLE_BLOCKS**2, 2 * BLOCK_EDGE), np.int64)))
-    for z in range(first[2], first[2] + TABLE_BLOCKS):
-        for y in range(first[1], first[1] + TABLE_BLOCKS):
-            level = first_inner[2] <= z <= last_inner[2] and first_inner[1] <= y <= last_inner[1]
-            for x in range(first[0], first[0] + TABLE_BLOCKS):
-                if level and first_inner[0] <= x <= last_inner[0]:
-                    continue
-                place = _table_place(x, y, z)
-                overlaps = clipped_bits(block_key(x, y, z), low, high, inside)
-                if table[place] == _ALL_UNKNOWN:
-                    table[place] = rows if overlaps else _ALL_KNOWN
-                    if overlaps:
-                        masks[rows] = 0
-                        rows += 1
-                if table[place] >= _FIRST_ROW:
-                    for layer in range(BLOCK_EDGE):
-                        masks[table[place], 2 * layer + 1] |= ~inside[layer]
-    return masks[:rows]
+        _, tile_of = np.unique((blocks - corner) // span, axis=0, return_inverse=True)
+        for number in range(int(tile_of.max()) + 1):
+            yield np.flatnonzero(tile_of.reshape(-1) == number)
 
 
 @njit(cache=True, nogil=True)
@@ -232,33 +138,62 @@ def _evaluate(
     voxels: Words,
     members: Words,
     template: Template,
-    table: NDArray[np.int32],
-    masks: Words,
+    cells: Cells,
     volumes: Floats,
     counts: Floats,
 ) -> None:
-    for member in members:
-        # all ones in the foreign bits: an addition then carries through the gaps of its own axis
-        base_x = table_cell(voxels[member, 0], 0) | ~MASK_X
-        base_y = table_cell(voxels[member, 1], 1) | ~MASK_Y
-        base_z = table_cell(voxels[member, 2], 2) | ~MASK_Z
-        total, count = 0.0, 0
-        for ray in range(template.first.size - 1):
-            visible, volume = np.float32(1), np.float32(0)
-            for i in range(template.first[ray], template.first[ray + 1]):
-                offset = np.int64(template.offsets[i])
+    """Ray by ray for all positions: the part of the template in use then stays in the nearest cache.
+
+    Uniform blocks are leapt. Unknown ones are left one by one, so that the rounding of the sum depends on
+    nothing but what the rays meet.
+    """
+    last = template.leaves.shape[2] - 1
+    for ray in range(template.first.size - 1):
+        start, length = template.first[ray], template.first[ray + 1] - template.first[ray]
+        sums = start + ray
+        up_x, up_y, up_z = template.signs[ray, 0], template.signs[ray, 1], template.signs[ray, 2]
+        for member in members:
+            voxel_x, voxel_y, voxel_z = voxels[member, 0], voxels[member, 1], voxels[member, 2]
+            # all ones in the foreign bits: an addition then carries through the gaps of its own axis
+            base_x = table_cell(voxel_x, 0) | ~MASK_X
+            base_y = table_cell(voxel_y, 1) | ~MASK_Y
+            base_z = table_cell(voxel_z, 2) | ~MASK_Z
+            visible, volume, i, count = np.float32(1), np.float32(0), 0, 0
+            while i < length:
+                offset = np.int64(template.offsets[start + i])
                 cell = (
                     ((base_x + (offset & MASK_X)) & MASK_X)
                     | ((base_y + (offset & MASK_Y)) & MASK_Y)
                     | ((base_z + (offset & MASK_Z)) & MASK_Z)
                 )
-                row, word, bit = table[cell >> 9], (cell >> 5) & 14, cell & 63
-                if (masks[row, word] >> bit) & 1:
-                    break
-                if not (masks[row, word + 1] >> bit) & 1:
-                    volume += visible * template.volumes_m3[i]
-                    visible *= template.decays[i]
-                    count += 1
-            total += float(volume)
-        volumes[member] = total
-        counts[member] = count
+                code = np.int64(cells.codes[cell >> 9])
+                if code >= 0:
+                    word, bit = 16 * code + ((cell >> 5) & 14), cell & 63
+                    if (cells.masks[word] >> bit) & 1:
+                        break
+                    if not (cells.masks[word + 1] >> bit) & 1:
+                        volume += visible * template.volumes_m3[start + i]
+                        visible *= template.decays[start + i]
+                        count += 1
+                    i += 1
+                    continue
+                # along a falling axis, blocks are counted in the mirrored space
+                x = voxel_x if up_x else -1 - voxel_x
+                y = voxel_y if up_y else -1 - voxel_y
+                z = voxel_z if up_z else -1 - voxel_z
+                moved = np.int64(template.moved[start + i])
+                leap = 1 if code & 1 == 0 else (-code) >> 1
+                end = min(
+                    template.leaves[ray, 0, min(8 * (((x + (moved & 255)) >> 3) + leap) - x, last)],
+                    template.leaves[ray, 1, min(8 * (((y + ((moved >> 8) & 255)) >> 3) + leap) - y, last)],
+                    template.leaves[ray, 2, min(8 * (((z + (moved >> 16)) >> 3) + leap) - z, last)],
+                )
+                if code & 1 == 0:
+                    rise = template.rises[sums + i]
+                    stretch = template.ahead_m3[sums + i] - template.ahead_m3[sums + end]
+                    volume += visible * np.float32(rise * stretch)
+                    visible *= np.float32(rise / template.rises[sums + end])
+                    count += end - i
+                i = int(end)
+            volumes[member] += float(volume)
+            counts[member] += count

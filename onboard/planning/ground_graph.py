@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.config import PlannerSettings
-from onboard.mapping.voxel_map import VoxelMap
+from onboard.mapping.voxel_map import PEER, VoxelMap
 from onboard.mapping.window import dense_window
+from onboard.planning.floors import NO_LEVEL, U8, Floors, find_floors
 from onboard.planning.gait import LEGGED, Gait
 from onboard.planning.local_graph import FloatArray, polyline_length, thin
 from onboard.planning.terrain import Terrain, walkable
@@ -22,28 +23,27 @@ class GroundGraph:
         self._terrain = terrain
         points = terrain.points(terrain.roomy_first)
         chosen = thin(points, VERTEX_SPACING_M, vertices)
-        self._cells = terrain.roomy_first[chosen]
+        self._nodes = terrain.roomy_first[chosen]
         self.points: FloatArray = points[chosen]
         # cost is metres weighted by clearance: close to the true length where there is room, never below it
-        costs = terrain.cost[tuple(self._cells.T)].astype(np.float64)
-        self.distances_m: FloatArray = costs * terrain.voxel_m
+        self.distances_m: FloatArray = terrain.costs(self._nodes).astype(np.float64) * terrain.voxel_m
 
     def path(self, vertex: int) -> FloatArray:
-        return self._walk(self._cells[vertex])
+        return self._walk(self._nodes[vertex])
 
     def connects(self, start: FloatArray, end: FloatArray) -> bool:
-        cells = self._terrain.cell_at(np.stack([start, end]))
-        if cells is None:
+        nodes = self._terrain.nodes_at(np.stack([start, end]))
+        if nodes is None:
             return False
         direct = polyline_length(np.stack([start, end]))
-        return self._terrain.line_cost(cells[0], cells[1]) < 3.0 * direct + 0.5
+        return self._terrain.line_cost(nodes[0], nodes[1]) < 3.0 * direct + 0.5
 
     def reach(self, point: FloatArray, radius_m: float) -> FloatArray | None:
-        cell = self._terrain.nearest_cell(point, radius_m)
-        return None if cell is None else self._walk(cell)
+        node = self._terrain.nearest_node(point, radius_m)
+        return None if node is None else self._walk(node)
 
-    def _walk(self, cell: NDArray[np.int64]) -> FloatArray:
-        corners = self._terrain.shortcut(self._terrain.cell_path(cell))
+    def _walk(self, node: NDArray[np.int64]) -> FloatArray:
+        corners = self._terrain.shortcut(self._terrain.node_path(node))
         return self._terrain.points(self._terrain.on_ground(corners))
 
 
@@ -59,4 +59,16 @@ def build_ground_graph(
     window = np.ascontiguousarray(
         dense_window(voxel_map, lower, (int(shape[0]), int(shape[1]), int(shape[2])))
     )
-    return GroundGraph(walkable(window, lower, voxel_m, root - lower, gait), settings.vertices)
+    floors = find_floors(window, gait.clear, int(root[2] - lower[2]))
+    peer_only = _peer_only(voxel_map, floors, lower)
+    terrain = walkable(window, floors, lower, voxel_m, root - lower, gait, peer_only=peer_only)
+    return GroundGraph(terrain, settings.vertices)
+
+
+def _peer_only(voxel_map: VoxelMap, floors: Floors, lower: NDArray[np.int64]) -> U8:
+    """(nx, ny, 4) 1 where a floor's voxel was seen by peers only."""
+    marks = np.zeros(floors.level.shape, np.uint8)
+    columns = np.argwhere(floors.level != NO_LEVEL)
+    voxels = np.column_stack([columns[:, :2], floors.level[tuple(columns.T)]]) + lower
+    marks[tuple(columns.T)] = voxel_map.seen_by(voxels) == 1 << PEER
+    return marks

@@ -10,6 +10,9 @@ from numpy.typing import NDArray
 
 FloatArray = NDArray[np.float64]
 
+WARM_SPACING_M = 1.0
+WARM_SHARE = 0.7
+
 
 class LocalGraph(Protocol):
     """Reachable vertices around the robot with their shortest paths.
@@ -35,11 +38,35 @@ class LocalGraph(Protocol):
         ...
 
 
+def warm_start(earlier: LocalGraph | None, path: FloatArray | None) -> FloatArray | None:
+    """Places (K, 3) for the next graph: corners of the path under way, then the earlier graph's vertices.
+
+    Vertices are thinned to one a metre and to the nearer WARM_SHARE of them, so that others get a chance.
+    """
+    parts = [] if path is None else [path]
+    if earlier is not None:
+        kept = thin(earlier.points, WARM_SPACING_M, int(WARM_SHARE * len(earlier.points)))
+        parts.append(earlier.points[kept])
+    return np.concatenate(parts) if parts else None
+
+
 def thin(points: FloatArray, spacing_m: float, limit: int) -> NDArray[np.int64]:
     """Indices of the first point of every cubic cell of edge `spacing_m`, at most `limit`, order kept."""
     cells = np.floor(points / spacing_m).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     return np.sort(first)[:limit]
+
+
+def spread(points: FloatArray, spacing_m: float, limit: int) -> NDArray[np.int64]:
+    """Like `thin`, but of too many cells half come from all over, where cells are wider."""
+    every = thin(points, spacing_m, len(points))
+    if len(every) <= limit:
+        return every
+    near, far = every[: limit // 2], every
+    while len(far) > limit - len(near):
+        spacing_m *= 1.2
+        far = every[thin(points[every], spacing_m, len(every))]
+    return np.unique(np.concatenate([near, far]))
 
 
 def polyline_length(path: FloatArray) -> float:

@@ -2,21 +2,28 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.config import MapSettings, RobotSettings
 from onboard.mapping.voxel_map import FREE, VoxelMap
-from onboard.planning.aerial_graph import Area
+from onboard.planning.air_space import Area
 from onboard.planning.body import Body
+from onboard.planning.budget import Budget
 from onboard.planning.global_graph import LINK_M, GlobalGraph
+from onboard.planning.homing import times_over_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
-from onboard.planning.plan import NOTHING, Budget, Plan
+from onboard.planning.plan import NOTHING, Plan
 from onboard.planning.selection import travel_time
+from onboard.planning.worth import SEEN_M
 
-SEEN_M = 0.8
-"""Spacing of the trail: what is visible within this distance of it has been seen."""
 RETURN_RADIUS_M = 3.0
+BLOCK_VOXELS = 8
+APPROACH_M = 1.0
+JOINED = 8
+TRIED_BEHIND = 4
 
 
 class Navigator:
@@ -33,47 +40,70 @@ class Navigator:
         self.body = Body(settings, map_settings.voxel_m, area_m)
         self.graph: GlobalGraph | None = None
         self.local: LocalGraph | None = None
-        self.budget = Budget(
-            margin_s=settings.planner.home_margin_s, margin_ratio=settings.planner.home_margin_ratio
-        )
+        self.budget = Budget.of(settings)
         self.trail: list[FloatArray] = []
+        self.heading_rad = 0.0
+        self.way_blocked = False
+        """Whether the last route leads over ways that the map now shows as blocked, or does not exist."""
         self._rng = np.random.default_rng([seed, settings.id])
-        self._heading_rad = 0.0
+        self._verified = 0
         self._heading_from: FloatArray | None = None
 
     def begin(self, point: FloatArray, heading_rad: float) -> None:
         """Start the global graph at the robot's reference point (3,)."""
-        self.graph = GlobalGraph(point)
-        self._heading_rad, self._heading_from = heading_rad, point
+        reach = float(np.abs(self.body.box_centre).max() + self.body.half_extent.max()) + self.map.voxel_m
+        self.graph = GlobalGraph(point, BLOCK_VOXELS * self.map.voxel_m, reach)
+        self.heading_rad, self._heading_from = heading_rad, point
         self.trail = [point]
 
     def observe(self, point: FloatArray) -> None:
         """The robot is at this reference point (3,): extend the trail and the exploring direction."""
         assert self.graph is not None
         assert self._heading_from is not None
-        self.graph.visit(point, self._visible)
+        self.graph.visit(point, self.visible)
         if np.linalg.norm(point - self.trail[-1]) > SEEN_M:
             self.trail.append(point)
         moved = point[:2] - self._heading_from[:2]
         if np.hypot(*moved) >= 0.75:
-            turn = (np.arctan2(moved[1], moved[0]) - self._heading_rad + np.pi) % (2 * np.pi) - np.pi
-            self._heading_rad += 0.7 * turn
+            turn = (np.arctan2(moved[1], moved[0]) - self.heading_rad + np.pi) % (2 * np.pi) - np.pi
+            self.heading_rad += 0.7 * turn
             self._heading_from = point
 
+    def verify_ways(self) -> int:
+        """Test the ways of the global graph where the map has changed; returns how many were tested."""
+        assert self.graph is not None
+        changed = self.map.changed_since(self._verified).tolist()
+        self._verified = self.map.version
+        return self.graph.verify(changed, lambda starts, ends: self.body.blocked(self.map, starts, ends))
+
     def route_to(self, point: FloatArray, target: int) -> FloatArray | None:
-        """(M, 3) way from the robot over the global graph to a node; blocked edges on it are avoided where
-        possible."""
+        """(M, 3) way from the robot over the global graph to a node, None where there is none.
+
+        Blocked ways are avoided; where that is impossible, those that the robot once walked are taken.
+        """
         graph = self.graph
         assert graph is not None
-        for _ in range(8):
-            nodes = graph.route(graph.here, target)
-            if not nodes:
-                return None
-            places = graph.points[nodes]
-            blocked = self.body.blocked(self.map, places[:-1], places[1:])
-            changed = [graph.block(nodes[leg], nodes[leg + 1]) for leg in np.flatnonzero(blocked)]
-            if not any(changed):
-                return self._join(point, places)
+        self.verify_ways()
+        nodes = graph.route(graph.here, target)
+        self.way_blocked = not nodes or graph.looks_blocked(nodes)
+        if self.way_blocked and nodes:
+            around = self._around(nodes)
+            if around is not None:
+                return self._start_at(point, around)
+        return self._join(point, graph.points[nodes]) if nodes else None
+
+    def _around(self, nodes: list[int]) -> FloatArray | None:
+        """Way past what blocks a route, where the local graph reaches a place behind it; else None."""
+        graph = self.graph
+        assert graph is not None
+        if self.local is None:
+            return None
+        legs = [leg for leg in range(len(nodes) - 1) if graph.looks_blocked(nodes[leg : leg + 2])]
+        for behind in range(legs[-1] + 1, min(legs[-1] + 1 + TRIED_BEHIND, len(nodes))):
+            near = self.local.reach(graph.points[nodes[behind]], 0.5)
+            if near is not None:
+                self.way_blocked = False
+                return np.concatenate([near, graph.points[nodes[behind + 1 :]]])
         return None
 
     def go_to(self, point: FloatArray, target: FloatArray, radius_m: float = 2.0) -> Plan:
@@ -85,24 +115,41 @@ class Navigator:
         if np.linalg.norm(target - point) < min(self.settings.planner.window_m[:2]) / 2 - 1:
             near = self.local.reach(target, 0.5)
             if near is not None:
+                self.way_blocked = False
                 return Plan(
                     self._start_at(point, near), "local", time_s=travel_time(near, self.settings.speed_m_s)
                 )
-        offsets = np.linalg.norm(self.graph.points - target, axis=1)
-        distances = self._distances_from(point)
-        offsets[~np.isfinite(distances)] = np.inf
-        node = int(np.argmin(offsets))
-        path = self.route_to(point, node) if offsets[node] <= radius_m else None
+        path = self._over_graph(point, target, radius_m)
         if path is None:
             return NOTHING
         return Plan(path, "route", time_s=travel_time(path, self.settings.speed_m_s))
+
+    def _over_graph(self, point: FloatArray, target: FloatArray, radius_m: float) -> FloatArray | None:
+        """Way to the node within the radius from which the target is reached soonest.
+
+        Without any: to the node nearest to it, if that brings the robot nearer; there it holds and looks
+        again.
+        """
+        assert self.graph is not None
+        self.verify_ways()
+        offsets = np.linalg.norm(self.graph.points - target, axis=1)
+        times = self.times_from_here(point)
+        arrival = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
+        if np.isfinite(arrival.min()):
+            return self.route_to(point, int(np.argmin(arrival)))
+        offsets[~np.isfinite(times)] = np.inf
+        node, path = int(np.argmin(offsets)), None
+        if offsets[node] < np.linalg.norm(target - point) - APPROACH_M:
+            path = self.route_to(point, node)
+        self.way_blocked = True
+        return path
 
     def stop_short(self, plan: Plan, distance_m: float) -> Plan:
         """The plan without its last metres and, where there is room, with a climb of a metre at its new
         end."""
         path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
         above = path[-1] + np.array([0.0, 0.0, 1.0])
-        if self._visible(path[-1], above):
+        if self.visible(path[-1], above):
             path = np.concatenate([path, above[None]])
         return Plan(path, plan.kind, time_s=plan.time_s)
 
@@ -110,38 +157,78 @@ class Navigator:
         """Seconds (N,) of travel to reference points (N, 3) over the global graph, inf where it does not
         reach."""
         assert self.graph is not None
-        to_graph = float(np.linalg.norm(point - self.graph.points[self.graph.here]))
-        return self._times_from(self.graph.here, targets, radius_m) + to_graph / self.settings.speed_m_s
-
-    def _times_from(self, node: int, targets: FloatArray, radius_m: float) -> FloatArray:
-        """Seconds (N,) from a node to the cheapest node within the radius of each target (N, 3), and on to
-        it."""
-        assert self.graph is not None
-        distances = self.graph.distances(node)
+        times = self.times_from_here(point)
         offsets = np.linalg.norm(self.graph.points[None] - targets[:, None], axis=2)
-        lengths = np.where(offsets <= radius_m, distances + offsets, np.inf).min(axis=1)
-        return np.asarray(lengths / self.settings.speed_m_s)
+        near = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
+        return np.asarray(near.min(axis=1))
+
+    def time_through(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> float:
+        """Seconds from the robot at a reference point (3,) through targets (K, 3), in this order."""
+        assert self.graph is not None
+        total = float(self.times_to(point, targets[:1], radius_m)[0])
+        for start, end in pairwise(targets):
+            node, _ = self.graph.nearest(start)
+            times = times_over_graph(self.graph, (node,), self.settings)
+            offsets = np.linalg.norm(self.graph.points - end, axis=1)
+            near = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
+            total += float(near.min())
+        return total
+
+    def times_from_here(self, point: FloatArray) -> FloatArray:
+        """Seconds (N,) from the robot at a reference point (3,) to the nodes of the global graph."""
+        graph = self.graph
+        assert graph is not None
+        to_graph = float(np.linalg.norm(point - graph.points[graph.here]))
+        times = times_over_graph(graph, (graph.here,), self.settings)
+        return np.asarray(times + to_graph / self.settings.speed_m_s)
+
+    def times_between(self, nodes: NDArray[np.int64]) -> FloatArray:
+        """Seconds (K, K) between nodes of the global graph, without turns."""
+        assert self.graph is not None
+        return np.asarray(self.graph.within(nodes, np.inf)[:, nodes] / self.settings.speed_m_s)
+
+    def return_times(self) -> FloatArray:
+        """Seconds (N,) from the nodes of the global graph to the place to be back at, inf without a way."""
+        graph, target = self.graph, self.budget.back_to
+        assert graph is not None
+        if target is None:
+            return np.zeros(len(graph.points))
+        offsets = np.linalg.norm(graph.points - target, axis=1)
+        homes = np.flatnonzero(offsets <= RETURN_RADIUS_M)
+        if len(homes) == 0:
+            return np.full(len(graph.points), np.inf)
+        sources = tuple(int(node) for node in homes)
+        last = graph.tree(sources)[2]
+        times = times_over_graph(graph, sources, self.settings)
+        return np.asarray(times + offsets[np.maximum(last, 0)] / self.settings.speed_m_s)
 
     def return_time(self, start: FloatArray) -> float:
-        """Seconds from a reference point (3,) to the place to be back at, over the global graph."""
+        """Seconds from a reference point (3,) to the place to be back at, over the global graph.
+
+        The point is joined to the nodes around it to which nothing known is in the way; inf without any.
+        """
         if self.budget.back_to is None:
             return 0.0
         assert self.graph is not None
-        source, extra = self.graph.nearest(start)
-        times = self._times_from(source, self.budget.back_to[None], RETURN_RADIUS_M)
-        if not np.isfinite(times[0]):
-            source, extra = self.graph.here, float(np.linalg.norm(start - self.graph.points[self.graph.here]))
-            times = self._times_from(source, self.budget.back_to[None], RETURN_RADIUS_M)
-        return float(times[0]) + extra / self.settings.speed_m_s
+        times = self.return_times()
+        offsets = np.linalg.norm(self.graph.points - start, axis=1)
+        near = np.argsort(offsets, kind="stable")[:JOINED]
+        near = near[offsets[near] <= LINK_M]
+        starts = np.repeat(start[None], len(near), axis=0)
+        free = near[~self.body.blocked(self.map, starts, self.graph.points[near])]
+        reached = times[free] + offsets[free] / self.settings.speed_m_s
+        here = self.graph.here
+        if offsets[here] <= LINK_M:  # the robot has just come from there
+            reached = np.append(reached, times[here] + offsets[here] / self.settings.speed_m_s)
+        return float(np.min(reached, initial=np.inf))
 
     def affordable(self, plan: Plan) -> bool:
         """Whether the path and the way back from its end fit the time that is left."""
         if not np.isfinite(self.budget.remaining_s):
             return True
-        # the local path itself is a way back to the graph even where its end is not in the graph yet
+        # the path itself is a way back to the graph even where its end is not in the graph yet
         back = min(self.return_time(plan.goal), plan.time_s + self.return_time(plan.path[0]))
-        needed = plan.time_s + back * (1 + self.budget.margin_ratio) + self.budget.margin_s
-        return needed <= self.budget.remaining_s
+        return self.budget.affords(plan.time_s, back)
 
     def path_blocked(self, path: FloatArray, ahead_m: float) -> bool:
         """Whether the next metres of a path (M, 3) have become occupied in the map."""
@@ -151,18 +238,20 @@ class Navigator:
             return False
         return bool(self.body.blocked(self.map, path[legs], path[legs + 1]).any())
 
+    def flies_into(self, path: FloatArray) -> bool:
+        """Whether a flight (M, 3) leads into something known; a walk never does, its graph sees to that."""
+        if self.settings.kind == "ground" or len(path) < 2:
+            return False
+        return bool(self.body.blocked(self.map, path[:-1], path[1:]).any())
+
     def passable(self, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
         """Whether short straight flights (N, 3) -> (N, 3) lead through space that is known to be free."""
         status = self.map.segment_status(starts, ends, self.body.half_extent + 0.1)
         return np.asarray((status == FREE) & (np.linalg.norm(ends - starts, axis=1) < LINK_M * 1.5))
 
-    def _visible(self, start: FloatArray, end: FloatArray) -> bool:
+    def visible(self, start: FloatArray, end: FloatArray) -> bool:
+        """Whether the local graph joins two reference points (3,) by a straight way."""
         return self.local is not None and self.local.connects(start, end)
-
-    def _distances_from(self, point: FloatArray) -> FloatArray:
-        assert self.graph is not None
-        start = self.graph.points[self.graph.here]
-        return self.graph.distances(self.graph.here) + float(np.linalg.norm(point - start))
 
     def _start_at(self, point: FloatArray, path: FloatArray) -> FloatArray:
         return path if np.linalg.norm(path[0] - point) < 1e-6 else np.concatenate([point[None], path])
@@ -171,7 +260,7 @@ class Navigator:
         """Start the route at the robot, skipping first nodes that it can pass by."""
         skip = 0
         for index in range(min(len(places) - 1, 4), 0, -1):
-            if self._visible(point, places[index]):
+            if self.visible(point, places[index]):
                 skip = index
                 break
         return np.concatenate([point[None], places[skip:]])

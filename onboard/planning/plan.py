@@ -1,4 +1,4 @@
-"""What the planner decides: paths with their terms, the time budget, and goals that did not work out."""
+"""What the planner decides: paths with their terms, and goals that did not work out."""
 
 from __future__ import annotations
 
@@ -30,16 +30,6 @@ class Plan:
 
 
 NOTHING = Plan(np.zeros((0, 3)), "nothing")
-
-
-@dataclass
-class Budget:
-    """Time left for exploring and the place to be at when it ends (planner.md 4.6: the next path counts)."""
-
-    remaining_s: float = np.inf
-    back_to: FloatArray | None = None
-    margin_s: float = 20.0
-    margin_ratio: float = 0.15
 
 
 @dataclass

@@ -58,16 +58,17 @@ def rank(
     heading_rad: float,
     speed_m_s: float,
     settings: PlannerSettings,
-) -> list[Choice]:
-    """The best choices among `vertices` with their gains, best first; empty if none is worth it."""
+) -> list[tuple[int, Choice]]:
+    """The best choices among `vertices` with their gains, best first, each with its index in them; empty if
+    none is worth it."""
     rates = gains_m3 / (graph.distances_m[vertices] / speed_m_s + settings.start_up_s)
     worth = np.flatnonzero(gains_m3 >= settings.frontier_m3)
     best = worth[np.argsort(-rates[worth], kind="stable")][:CANDIDATES]
-    choices = [
-        score_path(graph.path(int(vertices[i])), float(gains_m3[i]), heading_rad, speed_m_s, settings)
-        for i in best
-    ]
-    return sorted(choices, key=lambda choice: -choice.score)
+    choices = []
+    for i in best:
+        path = graph.path(int(vertices[i]))
+        choices.append((int(i), score_path(path, float(gains_m3[i]), heading_rad, speed_m_s, settings)))
+    return sorted(choices, key=lambda choice: -choice[1].score)
 
 
 def score_path(

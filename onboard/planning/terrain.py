@@ -1,10 +1,9 @@
 """Walkable floor of a dense map window: the 2.5D projection on which the ground robot plans.
 
-A window column may hold several floors (storeys, stairs over corridors). A cell of the lattice is one floor
-voxel (x, y, z) that the robot can reach from where it stands by steps of at most one voxel between
-neighbouring columns. Unknown columns are bridged at the level of their neighbours for a few cells only,
-because the beams of a LiDAR on a walking robot leave gaps between their rings on the floor, and never where
-free space is seen below that level.
+A window column may hold several floors (storeys, stairs over corridors). A node of the lattice is one floor
+of one column that the robot can reach from where it stands by steps and slopes that its gait allows. Unknown
+columns are bridged in the plane of their neighbours for a few columns only, because the beams of a LiDAR on
+a walking robot leave gaps between their rings on the floor, and never where free space is seen below.
 """
 
 from __future__ import annotations
@@ -18,263 +17,188 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.mapping.voxel_map import FREE, OCCUPIED, UNKNOWN
 from onboard.planning import walks
-from onboard.planning.gait import LEGGED, QUANTISATION, Gait
-from onboard.planning.walks import F32, NO_FLOOR
+from onboard.planning.floors import LAYERS, U8, Floors
+from onboard.planning.footing import TIGHT_FACTOR, bridgeable, standing_factor
+from onboard.planning.gait import LEGGED, Gait
+from onboard.planning.lattice import NO_FLOOR, Lattice, edge_factor, lattice_of, reached_floor, seen_floor
 
-I8 = NDArray[np.uint8]
-I32 = NDArray[np.int32]
-
-TIGHT_FACTOR = 15.0
-"""Cost of places that the body passes but cannot turn in."""
 TRACE_COLUMNS = 3
+SHORTCUT_NODES = 30
+SAME_FLOOR = 1.0
+"""Assumed floors of a column closer than this many voxels are one."""
+
+Nodes = NDArray[np.int64]
+Points = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """Result of `walkable`: shortest-path tree over floor cells of one window.
+    """Result of `walkable`: shortest-path tree over the floors of one window; nodes are (x, y, layer)."""
 
-    `cost` (nx, ny, nz) float32, inf where not reachable, else cells of way weighted by clearance;
-    `weight` that factor of each cell; `parent` flat index of the previous cell, -1 at the root; `assumed`
-    cells bridged, not seen.
-    """
-
-    lower: NDArray[np.int64]
+    lower: Nodes
     voxel_m: float
-    cost: F32
-    weight: F32
-    parent: I32
-    assumed: I8
+    gait: Gait
+    lattice: Lattice
 
     @cached_property
-    def cells(self) -> NDArray[np.int64]:
-        """(N, 3) reachable cells with a floor that was really seen, cheapest first."""
-        reached = np.argwhere(np.isfinite(self.cost) & (self.assumed == 0))
-        order = np.argsort(self.cost[tuple(reached.T)], kind="stable")
+    def nodes(self) -> Nodes:
+        """(N, 3) reachable nodes with a floor that was really seen, cheapest first."""
+        reached = np.argwhere(np.isfinite(self.lattice.cost[..., :LAYERS]))
+        order = np.argsort(self.costs(reached), kind="stable")
         return reached[order]
 
     @cached_property
-    def roomy_first(self) -> NDArray[np.int64]:
-        """(N, 3) `cells`, those in which the body can turn on the spot before the others."""
-        tight = self.weight[tuple(self.cells.T)] >= TIGHT_FACTOR
-        return np.concatenate([self.cells[~tight], self.cells[tight]])
+    def roomy_first(self) -> Nodes:
+        """(N, 3) `nodes`, those in which the body can turn on the spot before the others."""
+        tight = self.lattice.weight[tuple(self.nodes.T)] >= TIGHT_FACTOR
+        return np.concatenate([self.nodes[~tight], self.nodes[tight]])
 
-    def points(self, cells: NDArray[np.int64]) -> NDArray[np.float64]:
-        """Floor points (N, 3) in metres of window cells."""
-        return np.asarray((cells + self.lower + 0.5) * self.voxel_m, np.float64)
+    def costs(self, nodes: Nodes) -> NDArray[np.float32]:
+        """(N,) cost in cells of the way from the root to nodes (N, 3)."""
+        return np.asarray(self.lattice.cost[tuple(nodes.T)])
 
-    def cell_path(self, cell: NDArray[np.int64]) -> NDArray[np.int64]:
-        """(M, 3) cells from the root to `cell`."""
-        flat = int(np.ravel_multi_index((int(cell[0]), int(cell[1]), int(cell[2])), self.cost.shape))
+    def points(self, nodes: Nodes) -> Points:
+        """Floor points (N, 3) in metres of nodes (N, 3)."""
+        heights = self.lattice.height[tuple(nodes.T)].astype(np.float64)
+        places = np.column_stack([nodes[:, :2] + 0.5, heights])
+        return np.asarray((places + self.lower) * self.voxel_m, np.float64)
+
+    def node_path(self, node: Nodes) -> Nodes:
+        """(M, 3) nodes from the root to `node`."""
+        shape = self.lattice.cost.shape
+        flat = int(np.ravel_multi_index((int(node[0]), int(node[1]), int(node[2])), shape))
         chain = [flat]
-        parents = self.parent.reshape(-1)
+        parents = self.lattice.parent.reshape(-1)
         while parents[chain[-1]] >= 0:
             chain.append(int(parents[chain[-1]]))
-        return np.stack(np.unravel_index(np.array(chain[::-1]), self.cost.shape), axis=1)
+        return np.stack(np.unravel_index(np.array(chain[::-1]), shape), axis=1)
 
-    def nearest_cell(self, point: NDArray[np.float64], radius_m: float) -> NDArray[np.int64] | None:
-        """The reachable cell closest to a floor point (3,), or None beyond `radius_m`."""
-        if len(self.cells) == 0:
+    def nearest_node(self, point: Points, radius_m: float) -> Nodes | None:
+        """The reachable node closest to a floor point (3,), or None beyond `radius_m`."""
+        if len(self.nodes) == 0:
             return None
-        offsets = self.points(self.cells) - point
+        offsets = self.points(self.nodes) - point
         squared = np.einsum("ij,ij->i", offsets, offsets)
         best = int(np.argmin(squared))
-        return self.cells[best] if squared[best] <= radius_m**2 else None
+        return self.nodes[best] if squared[best] <= radius_m**2 else None
 
-    def cell_at(self, points: NDArray[np.float64]) -> NDArray[np.int64] | None:
-        """(N, 3) reachable cells at floor points (N, 3), one voxel of level tolerance; None if one is
-        missing."""
-        cells = np.floor(points / self.voxel_m).astype(np.int64) - self.lower
-        if np.any(cells < 1) or np.any(cells >= np.array(self.cost.shape) - 1):
+    def nodes_at(self, points: Points) -> Nodes | None:
+        """(N, 3) reachable nodes at floor points (N, 3), a step of tolerance; None if one is missing."""
+        places = points / self.voxel_m - self.lower
+        nodes = np.floor(places).astype(np.int64)
+        if np.any(nodes[:, :2] < 0) or np.any(nodes[:, :2] >= np.array(self.lattice.cost.shape[:2])):
             return None
-        levels = [walks.level_of(self.cost, int(x), int(y), int(z)) for x, y, z in cells]
-        cells[:, 2] = levels
-        return None if NO_FLOOR in levels else cells
+        layers = [
+            reached_floor(self.lattice, self.gait.step, int(x), int(y), float(place[2]))
+            for (x, y, _), place in zip(nodes, places, strict=True)
+        ]
+        nodes[:, 2] = layers
+        return None if NO_FLOOR in layers else nodes
 
-    def line_cost(self, start: NDArray[np.int64], end: NDArray[np.int64]) -> float:
-        """Weighted metres of the straight walk between two cells, inf if it leaves the lattice."""
-        return float(walks.line_cost(self.cost, self.weight, start, end)) * self.voxel_m
+    def line_cost(self, start: Nodes, end: Nodes) -> float:
+        """Weighted metres of the straight walk between two nodes, inf if it leaves the lattice."""
+        return float(walks.line_cost(self.lattice, self.gait, start, end)) * self.voxel_m
 
-    def shortcut(self, path: NDArray[np.int64]) -> NDArray[np.int64]:
+    def shortcut(self, path: Nodes) -> Nodes:
         """The same path with every detour replaced by a straight walk that costs no more."""
-        return np.asarray(path[walks.shortcut(self.cost, self.weight, path, 30)])
+        return np.asarray(path[walks.shortcut(self.lattice, self.gait, path, SHORTCUT_NODES)])
 
-    def on_ground(self, corners: NDArray[np.int64]) -> NDArray[np.int64]:
-        """The straight walks between corners (M, 3), with cells every few columns that follow the floor."""
+    def on_ground(self, corners: Nodes) -> Nodes:
+        """The straight walks between corners (M, 3), with nodes every few columns that follow the floor."""
         pieces = [corners[:1]]
-        pieces += [walks.trace(self.cost, start, end, TRACE_COLUMNS) for start, end in pairwise(corners)]
+        pieces += [
+            walks.trace(self.lattice, self.gait, start, end, TRACE_COLUMNS)
+            for start, end in pairwise(corners)
+        ]
         return np.concatenate(pieces)
 
 
 def walkable(
-    window: I8,
-    lower: NDArray[np.int64],
+    window: U8,
+    floors: Floors,
+    lower: Nodes,
     voxel_m: float,
-    root: NDArray[np.int64],
+    root: Nodes,
     gait: Gait = LEGGED,
     bridge: int = 4,
+    peer_only: U8 | None = None,
 ) -> Terrain:
-    """Grow the lattice from the cell `root` of a window (nx, ny, nz) of FREE / OCCUPIED / UNKNOWN.
+    """Grow the lattice from the voxel `root` over the floors of a window (nx, ny, nz) of statuses.
 
     `gait` says what the body can do; `bridge` is the number of unknown columns that may be assumed to
-    continue the floor.
+    continue the floor; `peer_only` (nx, ny, 4) is 1 for floors that no own scan saw.
     """
-    cost = np.full(window.shape, np.inf, np.float32)
-    parent = np.full(window.shape, -1, np.int32)
-    assumed = np.zeros(window.shape, np.uint8)
-    level = _floor_near(window, gait, int(root[0]), int(root[1]), int(root[2]), 2)
-    start = np.array([root[0], root[1], level if level != NO_FLOOR else root[2]], np.int64)
-    weight = np.full(window.shape, -1, np.float32)
-    _grow(window, gait, start, bridge, cost, weight, parent.reshape(-1), assumed)
-    return Terrain(np.asarray(lower), voxel_m, cost, weight, parent, assumed)
+    lattice = lattice_of(floors, peer_only)
+    x, y = int(root[0]), int(root[1])
+    height = float(root[2]) + 0.5
+    layer = int(seen_floor(lattice.height, 2.5, x, y, height))
+    if layer == NO_FLOOR:
+        layer = LAYERS
+        lattice.height[x, y, layer] = height
+    _grow(window, gait, (x, y, layer), bridge, lattice)
+    return Terrain(np.asarray(lower), voxel_m, gait, lattice)
 
 
 @njit(cache=True, nogil=True)
-def _floor_near(window: I8, gait: Gait, x: int, y: int, z: int, reach: int) -> int:
-    """Level of the floor voxel of column (x, y) closest to z within `reach`, or NO_FLOOR."""
-    for offset in range(reach + 1):
-        for sign in (1, -1):
-            level = z + sign * offset
-            if 0 <= level < window.shape[2] - gait.high - 1 and window[x, y, level] == OCCUPIED:
-                clear = True
-                for k in range(1, gait.high + 1):
-                    if window[x, y, level + k] == OCCUPIED:
-                        clear = False
-                if clear:
-                    return level
+def _neighbour(
+    window: U8, gait: Gait, lattice: Lattice, node: tuple[int, int, int], x: int, y: int, bridge: int
+) -> int:
+    """Layer of column (x, y) that a step from the node leads to; an assumed floor may be added for it."""
+    h = lattice.height[node]
+    layer: int = seen_floor(lattice.height, gait.step, x, y, h)
+    if layer != NO_FLOOR:
+        return layer
+    slope_x, slope_y = lattice.slope_x[node], lattice.slope_y[node]
+    h += slope_x * (x - node[0]) + slope_y * (y - node[1])
+    for layer in range(LAYERS, lattice.height.shape[2]):
+        if abs(lattice.height[x, y, layer] - h) < SAME_FLOOR:
+            return layer
+        if np.isnan(lattice.height[x, y, layer]):
+            if lattice.assumed[node] >= bridge or not bridgeable(window, gait, x, y, h):
+                return NO_FLOOR
+            lattice.height[x, y, layer] = h
+            lattice.slope_x[x, y, layer], lattice.slope_y[x, y, layer] = slope_x, slope_y
+            return layer
     return NO_FLOOR
 
 
 @njit(cache=True, nogil=True)
-def _next_level(window: I8, gait: Gait, x: int, y: int, z: int) -> tuple[int, bool]:
-    """Floor level of the neighbouring column (x, y) when coming from level z, and whether it is assumed."""
-    level = _floor_near(window, gait, x, y, z, gait.rise)
-    if level != NO_FLOOR:
-        return level, False
-    for k in range(-2, gait.high + 1):
-        if not 0 <= z + k < window.shape[2]:
-            return NO_FLOOR, False
-        state = window[x, y, z + k]
-        if state == OCCUPIED or (state == FREE and k <= 0):
-            return NO_FLOOR, False
-    return z, True
-
-
-@njit(cache=True, nogil=True)
-def _standable(window: I8, gait: Gait, x: int, y: int, z: int) -> float:
-    """Cost factor of standing at a floor cell: inf if the body would touch something or hang over."""
-    nearest2 = (gait.soft + 1) ** 2
-    for dx in range(-gait.soft, gait.soft + 1):
-        for dy in range(-gait.soft, gait.soft + 1):
-            far2 = dx * dx + dy * dy
-            if far2 >= nearest2 or far2 > gait.soft * gait.soft:
-                continue
-            i, j = x + dx, y + dy
-            if not (0 <= i < window.shape[0] and 0 <= j < window.shape[1]):
-                continue
-            for k in range(gait.low, gait.high + 1):
-                # a floor that rises away from the body is a slope, not an obstacle
-                if (
-                    z + k < window.shape[2]
-                    and window[i, j, z + k] == OCCUPIED
-                    and not _rises(window, gait, x, y, z, dx, dy)
-                ):
-                    nearest2 = far2
-                    break
-            if far2 <= gait.edge2 and _drops(window, i, j, z, 2 if far2 <= gait.hard2 else 3):
-                return np.inf
-    if nearest2 <= gait.hard2:
-        return np.inf
-    if nearest2 <= gait.turn2:
-        return TIGHT_FACTOR
-    return 1.0 + 2.0 * ((gait.soft + 1) ** 2 - nearest2) / ((gait.soft + 1) ** 2)
-
-
-@njit(cache=True, nogil=True)
-def _rises(window: I8, gait: Gait, x: int, y: int, z: int, dx: int, dy: int) -> bool:
-    """Whether column (x + dx, y + dy) holds a floor to which a slope or stairs lead from (x, y, z).
-
-    The column before it must hold the step below, or be unknown: else it is a ledge.
-    """
-    far = np.sqrt(float(dx * dx + dy * dy))
-    highest = int(np.ceil((gait.slope - QUANTISATION) * far))
-    i, j = x + dx, y + dy
-    before = max(0.0, (far - 1.0) / far) if far > 0 else 0.0
-    mx, my = x + int(np.round(dx * before)), y + int(np.round(dy * before))
-    for level in range(z + gait.low, min(z + highest, window.shape[2] - gait.high - 2) + 1):
-        if (
-            window[i, j, level] == OCCUPIED
-            and window[i, j, level + 1] != OCCUPIED
-            and window[i, j, level + 2] != OCCUPIED
-        ):
-            below = window[mx, my, level - 1]
-            return bool(below in (OCCUPIED, UNKNOWN) or window[mx, my, level] == OCCUPIED)
-    return False
-
-
-@njit(cache=True, nogil=True)
-def _drops(window: I8, x: int, y: int, z: int, depth: int) -> bool:
-    """Whether free space is known at level z and `depth` voxels below it, where a floor should be."""
-    for level in range(z - depth, z + 1):  # numba compiles no generators
-        if level < 0 or window[x, y, level] != FREE:
-            return False
-    # the floor may go on higher up, as where stairs end on a thin slab
-    return bool(window[x, y, z + 1] != OCCUPIED and window[x, y, z + 2] != OCCUPIED)
-
-
-@njit(cache=True, nogil=True)
-def _too_steep(
-    parent: I32, shape: tuple[int, int, int], slope: float, flat: int, x: int, y: int, z: int
-) -> bool:
-    """Whether the last metre of the path to (x, y, z) climbs more than `slope` (rise over run)."""
-    plane = shape[1] * shape[2]
-    for _ in range(5):
-        if parent[flat] < 0:
-            return False
-        flat = parent[flat]
-    run2 = (flat // plane - x) ** 2 + ((flat % plane) // shape[2] - y) ** 2
-    rise = abs(flat % shape[2] - z)
-    return rise > 2 and rise * rise > slope * slope * run2
-
-
-@njit(cache=True, nogil=True)
-def _grow(
-    window: I8,
-    gait: Gait,
-    root: NDArray[np.int64],
-    bridge: int,
-    cost: F32,
-    factors: F32,
-    parent: I32,
-    assumed: I8,
-) -> None:
-    """Dijkstra over floor cells, costs in cells."""
-    nx, ny, nz = window.shape
-    queue = [(np.float32(0.0), np.int64((root[0] * ny + root[1]) * nz + root[2]))]
-    cost[root[0], root[1], root[2]] = 0.0
-    factors[root[0], root[1], root[2]] = 1.0
+def _grow(window: U8, gait: Gait, root: tuple[int, int, int], bridge: int, lattice: Lattice) -> None:
+    """Dijkstra over floor nodes, costs in cells."""
+    nx, ny, layers = lattice.cost.shape
+    height, cost, weight, assumed = lattice.height, lattice.cost, lattice.weight, lattice.assumed
+    queue = [(np.float32(0.0), np.int64((root[0] * ny + root[1]) * layers + root[2]))]
+    cost[root], weight[root] = 0.0, 1.0
     while len(queue) > 0:
         reached, flat = heapq.heappop(queue)
-        x, y, z = flat // (ny * nz), (flat // nz) % ny, flat % nz
-        if reached > cost[x, y, z]:
+        node = (flat // (ny * layers), (flat // layers) % ny, flat % layers)
+        if reached > cost[node]:
             continue
         for dx in range(-1, 2):
             for dy in range(-1, 2):
-                i, j = x + dx, y + dy
+                i, j = node[0] + dx, node[1] + dy
                 if (dx == 0 and dy == 0) or not (0 <= i < nx and 0 <= j < ny):
                     continue
-                k, guessed = _next_level(window, gait, i, j, z)
-                if k == NO_FLOOR or (guessed and assumed[x, y, z] >= bridge):
+                layer = _neighbour(window, gait, lattice, node, i, j, bridge)
+                if layer == NO_FLOOR or (layer >= LAYERS and assumed[node] >= bridge):
                     continue
-                if factors[i, j, k] < 0:
-                    factors[i, j, k] = _standable(window, gait, i, j, k)
-                if factors[i, j, k] == np.inf or _too_steep(parent, window.shape, gait.slope, flat, i, j, k):
+                following = (i, j, layer)
+                if weight[following] < 0:
+                    slope_x, slope_y = lattice.slope_x[following], lattice.slope_y[following]
+                    weight[following] = standing_factor(
+                        window, height, gait, i, j, height[following], slope_x, slope_y
+                    )
+                if weight[following] == np.inf:
                     continue
-                length = np.sqrt(np.float32(dx * dx + dy * dy + (k - z) * (k - z)))
-                total = np.float32(reached + length * factors[i, j, k] * (1.3 if guessed else 1.0))
-                if total < cost[i, j, k]:
-                    cost[i, j, k] = total
-                    parent[(i * ny + j) * nz + k] = flat
-                    assumed[i, j, k] = assumed[x, y, z] + 1 if guessed else 0
-                    heapq.heappush(queue, (total, np.int64((i * ny + j) * nz + k)))
+                flat2 = dx * dx + dy * dy
+                across = np.sqrt(float(flat2))
+                factor = edge_factor(lattice, gait, node, following, dx / across, dy / across)
+                climb = height[following] - height[node]
+                length = np.sqrt(flat2 + climb * climb)
+                total = np.float32(reached + length * weight[following] * factor)
+                if total < cost[following]:
+                    cost[following] = total
+                    lattice.parent[following] = flat
+                    assumed[following] = assumed[node] + 1 if layer >= LAYERS else 0
+                    heapq.heappush(queue, (total, np.int64((i * ny + j) * layers + layer)))

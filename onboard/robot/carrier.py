@@ -65,6 +65,7 @@ class Carrier:
             shared=self._team.all_shared(),
             peer_clear=outcome == Outcome.DONE,
             aborted=outcome == Outcome.ABORTED,
+            aboard=bool(self._aboard),
             peers_arrived=self._team.peers_arrived(now_s),
             complete=self._team.all_received(),
         )
@@ -88,9 +89,12 @@ class Carrier:
                 take_off,
                 self._rng,
                 settings.launch_s,
+                team.explorer.left_by_peers,
             )
         ground = self._ground_gain(plan, settings.rule)
-        self._decision = self._trigger.evaluate(ground, self._outlook, team.remaining(now_s), pose)
+        status = team.link.peer_status(self._aboard[0].id)
+        charge = None if status is None else status.battery_ratio
+        self._decision = self._trigger.evaluate(ground, self._outlook, team.remaining(now_s), pose, charge)
         team.log(
             "trigger",
             fire=self._decision.fire,
@@ -112,7 +116,8 @@ class Carrier:
         if len(plan.path) == 0:
             return 0.0
         if rule == "paper":
-            counts = explorer.body.gain_model.ray_count(explorer.map, plan.path + explorer.body.mount)
+            body = explorer.body
+            counts = body.gain_model.ray_count(explorer.map, plan.path + body.mount, body.area_m)
             return float(np.sum(counts))
         return plan.gain_m3 / (plan.time_s + explorer.settings.planner.start_up_s)
 
@@ -147,11 +152,7 @@ class Carrier:
         match message:
             case Propose():
                 point = np.array(message.position_m)
-                times = self._team.explorer.times_to(
-                    pose.position, (point - self._team.explorer.body.mount)[None]
-                )
-                feasible = bool(times[0] * 1.15 + 20.0 < self._team.remaining(now_s))
-                if self._acceptor.proposed(message.epoch, point, feasible):
+                if self._acceptor.proposed(message.epoch, point, self._can_hold(pose, point)):
                     self._team.link.post(Ack(message.epoch), source)
                     self._doubt_since_s = now_s if self._acceptor.in_doubt else None
             case Commit():
@@ -161,6 +162,13 @@ class Carrier:
                     self._team.log("regroup", position=message.position_m, epoch=message.epoch)
             case _:
                 pass
+
+    def _can_hold(self, pose: Pose, point: FloatArray) -> bool:
+        """Whether there is time to look for the other robot at a new point (3,), wait, and then go to the
+        point agreed on before: in doubt it may be at either."""
+        explorer = self._team.explorer
+        places = np.stack([point, self._acceptor.points[0]]) - explorer.body.mount
+        return explorer.budget.affords(DOUBT_WAIT_S, explorer.time_through(pose.position, places))
 
     def tick(self, now_s: float, phase: Phase, pose: Pose) -> None:
         """Offer travel times to the own keyframes, and after a fruitless wait try the other doubtful

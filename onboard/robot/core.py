@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from onboard.core.config import Config, RobotSettings
+from onboard.core.config import Config, MapSettings, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.mission import Facts, Phase, next_phase
+from onboard.planning.air_space import Area
 from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity
@@ -22,9 +23,10 @@ from onboard.robot.interface import Inputs, Log, Outputs, Profile
 from onboard.robot.motion import Motion
 from onboard.robot.roles import Role, Team, vector
 from onboard.robot.sensing import Sensing
+from onboard.robot.soloist import Soloist
 from onboard.safety import keep_clear
 from onboard.sharing import LinkCore
-from onboard.sharing.messages import Status
+from onboard.sharing.messages import Bids, Status
 
 START_DISC_M = 3.0
 """The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets
@@ -32,8 +34,12 @@ it there."""
 RETURN_CHECK_S = 1.0
 IDLE_CYCLES = 3
 LOOK_AGAIN_S = 10.0
+LINGER_S = 10.0
 WORTH_RESUMING_M3 = 10.0
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
+
+PlannerFactory = Callable[[RobotSettings, MapSettings, int, Area | None], Explorer]
+"""Makes the planner of a robot from its settings, the map's, the seed and the area to explore."""
 
 
 class RobotCore:
@@ -47,25 +53,35 @@ class RobotCore:
         start: Pose,
         log: Log,
         clock: Callable[[], float],
+        planner: PlannerFactory = Explorer,
     ) -> None:
+        """`planner` exists so that other planners can be compared on the same robot."""
         self.settings = settings
-        self.explorer = Explorer(settings, config.map, seed, config.mission.area_m)
+        self.explorer = planner(settings, config.map, seed, config.mission.area_m)
         self.sensing = Sensing(settings, self.explorer.map)
         peers = [robot.id for robot in config.robots if robot.name != settings.name]
         self.link = LinkCore(settings.id, peers, contact_timeout_s=config.mission.contact_timeout_s)
         self.motion = Motion(settings, self.explorer)
         self.profile = Profile(clock)
         self.team = Team(config, settings.name, self.explorer, self.sensing, self.link, log, self.profile)
-        self.role: Role = Carrier(self.team, seed, start) if settings.kind == "ground" else Flyer(self.team)
+        self.role = self._role(seed, start)
         self.phase = self.role.first_phase
         self.arrived_s: float | None = None
         self._log = log
         self._idle = 0
         self._return_checked_s = -np.inf
         self._must_return = False
+        self._near_since_s = np.inf
+        self._way_blocked = False
         self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
+
+    def _role(self, seed: int, start: Pose) -> Role:
+        if self.settings.kind == "ground":
+            return Carrier(self.team, seed, start)
+        carried = any(peer.kind == "ground" for peer in self.team.peers)
+        return Flyer(self.team) if carried else Soloist(self.team, start)
 
     def _stand_at(self, start: Pose) -> None:
         self.explorer.begin(start.position, start.yaw)
@@ -80,7 +96,10 @@ class RobotCore:
         now_s, pose = inputs.now_s, inputs.pose
         frames = self.link.step(now_s, inputs.frames)
         for source, message in self.link.take_messages():
-            self.role.handle(now_s, source, message, pose)
+            if isinstance(message, Bids):
+                self.team.bidding.came(now_s, message)
+            else:
+                self.role.handle(now_s, source, message, pose)
         self._integrate_received()
         if inputs.scan is not None and self.maps():
             self._integrate(self.team.without_peers(inputs.scan, pose, now_s), pose)
@@ -120,11 +139,7 @@ class RobotCore:
         self.explorer.budget.remaining_s = remaining
         point = self.role.regroup_point()
         self.explorer.budget.back_to = None if point is None else point - self._regroup_offset()
-        self.explorer.peer_goals = [
-            np.array(status.goal_m)
-            for status in map(self.link.peer_status, self.team.peer_ids)
-            if status is not None and status.goal_m is not None and inputs.now_s - status.stamp_s < 30.0
-        ]
+        self.explorer.peer_goals = self.team.peer_goals(inputs.now_s)
 
     def _regroup_offset(self) -> FloatArray:
         """Regrouping points are LiDAR positions of the ground robot; a flying one goes there itself."""
@@ -136,7 +151,7 @@ class RobotCore:
             nothing_left=self._idle >= IDLE_CYCLES,
             more=self._something_new(now_s, pose),
             must_return=self.phase in MOVING and self._must_go(now_s, pose),
-            arrived=self._arrived(pose),
+            arrived=self._arrived(now_s, pose),
         )
         following = next_phase(self.phase, facts)
         if following == self.phase:
@@ -161,28 +176,36 @@ class RobotCore:
         plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, None)
         return bool(plan.gain_m3 >= WORTH_RESUMING_M3)
 
-    def _why(self, facts: Facts) -> dict[str, str]:
+    def _why(self, facts: Facts) -> dict[str, object]:
         if self.phase not in MOVING or facts.fire:
             return {}
-        return {"reason": "time to return" if facts.must_return else "nothing left to explore"}
+        if facts.must_return:
+            return {"reason": "time to return"}
+        return {"reason": "nothing left to explore", "left_m3": self.explorer.left}
 
     def _must_go(self, now_s: float, pose: Pose) -> bool:
         """Once a second: does the way back need all the time that is left?"""
         if now_s - self._return_checked_s >= RETURN_CHECK_S and self.explorer.graph is not None:
             self._return_checked_s = now_s
+            self.explorer.verify_ways()
             here = Plan(pose.position[None], "here")
             self._must_return = not self.explorer.affordable(here)
         return self._must_return
 
-    def _arrived(self, pose: Pose) -> bool:
+    def _arrived(self, now_s: float, pose: Pose) -> bool:
         target = self.explorer.budget.back_to
         if target is None or self.phase not in (Phase.RETURNING, Phase.WAITING):
+            self._near_since_s = now_s
             return False
         radius = self.team.config.mission.regroup_radius_m
         distance = float(np.linalg.norm(pose.position - target))
         settled = self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose))
         close = self.settings.kind == "ground" and distance <= radius / 2
-        return distance <= radius and (settled or close)
+        if distance > radius:
+            self._near_since_s = now_s
+        # where several robots meet, they keep each other from the very place
+        lingering = now_s - self._near_since_s > LINGER_S
+        return distance <= radius and (settled or close or lingering)
 
     def _move(self, now_s: float, pose: Pose) -> Velocity:
         if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.DONE):
@@ -198,10 +221,10 @@ class RobotCore:
         return self._gated(now_s, pose, velocity)
 
     def _gated(self, now_s: float, pose: Pose, velocity: Velocity) -> Velocity:
-        """The command of a flying robot after the gate that keeps it clear of the walking ones."""
+        """The command of a flying robot after the gate that keeps it clear of the others."""
         if self.settings.kind != "aerial" or self.phase == Phase.TAKING_OFF:
             return velocity
-        return keep_clear(velocity, pose.position, self.team.walkers(now_s), self._may_fly_to)
+        return keep_clear(velocity, pose.position, self.team.others(now_s), self._may_fly_to)
 
     def _may_fly_to(self, point: FloatArray) -> bool:
         return bool(self.explorer.passable(point[None], point[None] + 1e-3)[0])
@@ -212,9 +235,13 @@ class RobotCore:
             return insisted
         if self.phase == Phase.RETURNING:
             return self._plan_return(pose)
-        plan: Plan = self.profile.timed("plan", self.explorer.explore, now_s, pose.position, self.motion.plan)
-        self._idle = 0 if len(plan.path) else self._idle + 1
+        ahead = self.motion.ahead(pose)
+        plan: Plan = self.profile.timed("plan", self.explorer.explore, now_s, ahead, self.motion.plan)
+        plan = self.motion.joined(pose, plan)
+        starting = self.explorer.startup.active(now_s, pose.position)
+        self._idle = 0 if len(plan.path) or starting else self._idle + 1
         self.role.planned(now_s, self.phase, pose, plan)
+        self.team.bidding.planned(now_s, self.explorer.cycle.candidates, self.team.exploring_peers())
         self._log("plan", **described(plan))
         self._log("cycle", **self.explorer.cycle.described())
         return plan
@@ -225,9 +252,17 @@ class RobotCore:
         target = self.explorer.budget.back_to
         assert target is not None
         plan = self.explorer.go_to(pose.position, target)
+        self._report_way_back(pose)
         if self.settings.kind == "ground" or len(plan.path) == 0:
             return plan
         return self.explorer.stop_short(plan, self.team.config.mission.regroup_radius_m * 0.7)
+
+    def _report_way_back(self, pose: Pose) -> None:
+        """Tell when the way back begins or ceases to look blocked: then the robot gets as near as it can,
+        holds there and looks again."""
+        if self.explorer.way_blocked != self._way_blocked:
+            self._way_blocked = self.explorer.way_blocked
+            self._log("way_back", blocked=self._way_blocked, position=vector(pose.position))
 
     def _status(self, inputs: Inputs) -> Status:
         plan = self.motion.plan

@@ -6,6 +6,7 @@ import numpy as np
 
 from onboard.core.geometry import Pose
 from onboard.mission import Facts, Phase
+from onboard.planning.budget import Budget
 from onboard.planning.deployment import TAKE_OFF_M
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
@@ -86,9 +87,10 @@ class Flyer:
         points = np.array([entry.position_m for entry in message.times])
         ground_s = np.array([entry.time_s for entry in message.times])
         aerial_s = self._team.explorer.times_to(pose.position, points)
-        left = self._team.remaining(now_s)
-        limit = (min(left, self._team.explorer.budget.remaining_s) - 20.0) / 1.15
-        best = choose_point(ground_s, aerial_s, (left - 30.0) / 1.2, limit)
+        carrier = next(peer for peer in self._team.peers if peer.id == source)
+        ground_limit_s = Budget.of(carrier, self._team.remaining(now_s)).longest_way_s
+        aerial_limit_s = self._team.explorer.budget.longest_way_s
+        best = choose_point(ground_s, aerial_s, ground_limit_s, aerial_limit_s)
         if best is not None and self._proposer.propose(points[best]) is not None:
             self._send(now_s, source)
 

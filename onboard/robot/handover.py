@@ -9,7 +9,7 @@ import numpy as np
 from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
 from onboard.mission import FLYING, Phase
-from onboard.planning.deployment import AerialOutlook
+from onboard.planning.deployment import MAX_TILT_RAD, AerialOutlook, tilt
 from onboard.planning.local_graph import FloatArray
 from onboard.robot.roles import Team, vector
 from onboard.sharing.messages import Release, Target
@@ -17,6 +17,7 @@ from onboard.sharing.messages import Release, Target
 CLEAR_M = 2.0
 NO_CONTACT_S = 60.0
 CLEAR_TIMEOUT_S = 20.0
+STANDING_M_S = 0.05
 REPEAT_S = 1.0
 
 
@@ -41,6 +42,7 @@ class HandOver:
         self._since_s = now_s
         self._released_s: float | None = None
         self._repeated_s = -np.inf
+        self._last: tuple[float, FloatArray] | None = None
         targets = [vector(target) for target in outlook.targets]
         self._target = Target(targets[0], tuple(targets[1:]))
         first = max(0, len(team.keyframe_positions) - team.config.deployment.keyframes_sent)
@@ -57,14 +59,23 @@ class HandOver:
         """One control cycle of a carrier that stands still at `pose`."""
         self.release = False
         if self._released_s is None:
-            return self._share(now_s)
+            return self._share(now_s, pose)
         return self._see_off(now_s, pose)
 
-    def _share(self, now_s: float) -> Outcome:
-        """Nothing is let go without contact: a robot that hears nothing would not know that it is free."""
+    def _share(self, now_s: float, pose: Pose) -> Outcome:
+        """Nothing is let go from a carrier that moves or leans, nor without contact.
+
+        A robot that hears nothing would not know that it is free.
+        """
         link = self._team.link
-        if not link.in_contact(self.robot.id, now_s):
-            return self._abort() if now_s - self._since_s > NO_CONTACT_S else Outcome.UNDER_WAY
+        steady = self._steady(now_s, pose)
+        if not link.in_contact(self.robot.id, now_s) or not steady:
+            why = (
+                "the carrier does not stand level"
+                if not steady
+                else "no contact with the aerial robot aboard"
+            )
+            return self._abort(why) if now_s - self._since_s > NO_CONTACT_S else Outcome.UNDER_WAY
         if self._repeat(now_s):
             link.post(self._target, self.robot.id)
         if link.unshared(self.robot.id) == 0 and now_s - self._since_s > REPEAT_S:
@@ -83,9 +94,16 @@ class HandOver:
         late = now_s - self._released_s > CLEAR_TIMEOUT_S
         return Outcome.DONE if (flying and away > CLEAR_M) or late else Outcome.UNDER_WAY
 
-    def _abort(self) -> Outcome:
+    def _steady(self, now_s: float, pose: Pose) -> bool:
+        last, self._last = self._last, (now_s, pose.position)
+        if last is None or now_s <= last[0]:
+            return False
+        speed = float(np.linalg.norm(pose.position - last[1])) / (now_s - last[0])
+        return speed < STANDING_M_S and tilt(pose) <= MAX_TILT_RAD
+
+    def _abort(self, reason: str) -> Outcome:
         self._team.link.set_sharing(self.robot.id, False)
-        self._team.log("abort", deployed=self.robot.name, reason="no contact with the aerial robot aboard")
+        self._team.log("abort", deployed=self.robot.name, reason=reason)
         return Outcome.ABORTED
 
     def _repeat(self, now_s: float) -> bool:

@@ -22,6 +22,9 @@ BACK_OFF_SPEED_M_S = 0.3
 OTHER_WAY_RAD = 2.4
 OTHER_WAYS = 8
 FEEL_AFTER = 3
+PLACE_M = 2.0
+VISITS = 4
+VISITS_S = 120.0
 
 
 @dataclass
@@ -57,6 +60,32 @@ class Watchdog:
         elif abs(wrap_angle(pose.yaw - mark.yaw_rad)) > PROGRESS_RAD and mark.turns < MAX_TURNS:
             mark.time_s, mark.yaw_rad, mark.turns = now_s, pose.yaw, mark.turns + 1
         return now_s - mark.time_s > STUCK_S
+
+
+class Pacing:
+    """Tells when a robot goes to and fro: the same place VISITS times within VISITS_S, with a goal that it
+    had before it turned to another one."""
+
+    def __init__(self) -> None:
+        self._visits: list[tuple[float, FloatArray]] = []
+        self._goals: list[tuple[float, FloatArray]] = []
+
+    def going_round(self, now_s: float, position: FloatArray, goal: FloatArray) -> bool:
+        """To be called at every step with a plan; true once, then it counts anew."""
+        self._visits = [entry for entry in self._visits if now_s - entry[0] < VISITS_S]
+        self._goals = [entry for entry in self._goals if now_s - entry[0] < VISITS_S]
+        if not self._goals or np.linalg.norm(self._goals[-1][1] - goal) > PLACE_M:
+            self._goals.append((now_s, goal))
+        if self._visits and np.linalg.norm(self._visits[-1][1] - position) <= PLACE_M:
+            return False
+        places = [place for _, place in self._visits if np.linalg.norm(place - position) <= PLACE_M / 2]
+        # the first place of a visit stands for all later ones, or the cells would creep along
+        self._visits.append((now_s, places[0] if places else position.copy()))
+        before = [old for _, old in self._goals[:-2] if np.linalg.norm(old - goal) <= PLACE_M]
+        if len(places) + 1 < VISITS or not before:
+            return False
+        self._visits, self._goals = [], []
+        return True
 
 
 class BackOff:

@@ -10,10 +10,12 @@ import numpy as np
 from onboard.core.config import Config
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
-from onboard.mission import AT_REGROUP, Facts, Phase
+from onboard.mission import AT_REGROUP, FLYING, Facts, Phase
 from onboard.planning.explorer import Explorer
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
+from onboard.planning.worth import PeerGoal
+from onboard.robot.bidding import Bidding
 from onboard.robot.interface import Log, Profile
 from onboard.robot.sensing import Sensing
 from onboard.sharing import LinkCore
@@ -47,6 +49,7 @@ class Team:
         self.keyframe_positions: list[FloatArray] = []
         """LiDAR positions (3,) of the own keyframes by sequence."""
         self.keyframe_bytes = 0
+        self.bidding = Bidding(self.settings, link)
         self._trail: list[FloatArray] = []
 
     @property
@@ -92,15 +95,32 @@ class Team:
         graph.add_chain(np.stack(self._trail), self.explorer.passable)
         self._trail = self._trail[-1:]
 
-    def walkers(self, now_s: float) -> list[tuple[FloatArray, float]]:
-        """Body centres (3,) of ground peers in contact, and the distance to keep from them, in metres."""
+    def exploring_peers(self) -> list[int]:
+        """Peers that explore by themselves, whether in contact or not."""
+        return [peer for peer in self.peer_ids if self.peer_phase(peer) not in (None, Phase.CARRIED)]
+
+    def peer_goals(self, now_s: float) -> list[PeerGoal]:
+        """Places that peers are heading for or have won in the auction."""
+        statuses = [self.link.peer_status(peer) for peer in self.peer_ids]
+        return [
+            PeerGoal(np.array(status.goal_m), max(0.0, now_s - status.stamp_s))
+            for status in statuses
+            if status is not None and status.goal_m is not None
+        ] + [PeerGoal(place) for place in self.bidding.taken(now_s)]
+
+    def others(self, now_s: float) -> list[tuple[FloatArray, float]]:
+        """Body centres (3,) of peers in contact that walk or fly, and the distance to keep, in metres."""
         found = []
         for peer in self.peers:
             status = self.link.peer_status(peer.id)
-            if peer.kind == "ground" and status is not None and self.link.in_contact(peer.id, now_s):
-                centre = np.array(status.position_m) + np.array([0.0, 0.0, peer.size_m[2] / 2])
-                reach = (np.hypot(*peer.size_m[:2]) + max(self.settings.size_m)) / 2 + KEEP_CLEAR_M
-                found.append((centre, float(reach + (now_s - status.stamp_s) * peer.speed_m_s)))
+            if status is None or not self.link.in_contact(peer.id, now_s):
+                continue
+            if peer.kind == "aerial" and Phase(status.phase) not in FLYING:
+                continue
+            lift = peer.size_m[2] / 2 if peer.kind == "ground" else 0.0
+            centre = np.array(status.position_m) + np.array([0.0, 0.0, lift])
+            reach = (np.hypot(*peer.size_m[:2]) + max(self.settings.size_m)) / 2 + KEEP_CLEAR_M
+            found.append((centre, float(reach + (now_s - status.stamp_s) * peer.speed_m_s)))
         return found
 
     def without_peers(self, scan: Scan, pose: Pose, now_s: float) -> Scan:

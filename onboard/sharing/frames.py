@@ -6,15 +6,20 @@ import struct
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
-from onboard.codec.crc import crc32c
+from onboard.core.crc import crc32c
 from onboard.core.errors import InputError, WireError
 from onboard.sharing.messages import (
     MAX_ALTERNATIVES,
+    MAX_BIDS,
+    MAX_BUNDLES,
     MAX_PAYLOAD_BYTES,
     MAX_RANGES,
     MAX_SOURCES,
     MAX_TIMES,
     Ack,
+    BidMessage,
+    Bids,
+    BundleMessage,
     Commit,
     Digest,
     KeyframeMessage,
@@ -34,6 +39,7 @@ _HEAD = struct.Struct("<BBBB")
 _CRC = struct.Struct("<I")
 _BATTERY_STEPS = 10_000
 _TIME_STEP_S = 0.1
+_SCORE_STEP = 0.001
 _SEQUENCE_END = 1 << 32
 
 
@@ -204,6 +210,32 @@ def _unpack_release(reader: Reader) -> Release:
     return Release(reader.position())
 
 
+def _pack_bids(message: Bids) -> bytes:
+    parts = [struct.pack("<B", checked_count(len(message.bundles), MAX_BUNDLES))]
+    for bundle in message.bundles:
+        count = checked_count(len(bundle.bids), MAX_BIDS)
+        parts.append(struct.pack("<BHB", bundle.robot, round(bundle.age_s / _TIME_STEP_S), count))
+        for bid in bundle.bids:
+            parts.append(pack_position(bid.position_m) + struct.pack("<I", round(bid.score / _SCORE_STEP)))
+    return b"".join(parts)
+
+
+def _unpack_bids(reader: Reader) -> Bids:
+    bundles = tuple(_unpack_bundle(reader) for _ in range(reader.count("B", MAX_BUNDLES)))
+    if len({bundle.robot for bundle in bundles}) < len(bundles):
+        raise WireError("bids name a robot twice")
+    return Bids(bundles)
+
+
+def _unpack_bundle(reader: Reader) -> BundleMessage:
+    robot, steps = reader.take("BH")
+    bids = tuple(
+        BidMessage(reader.position(), reader.integer("I") * _SCORE_STEP)
+        for _ in range(reader.count("B", MAX_BIDS))
+    )
+    return BundleMessage(robot, steps * _TIME_STEP_S, bids)
+
+
 class _Kind(NamedTuple):
     number: int
     name: str
@@ -221,6 +253,7 @@ _KIND_OF: dict[type[Message], _Kind] = {
     Ack: _Kind(7, "ack", _pack_ack, _unpack_ack),
     Commit: _Kind(8, "commit", _pack_commit, _unpack_commit),
     Release: _Kind(9, "release", _pack_release, _unpack_release),
+    Bids: _Kind(10, "bids", _pack_bids, _unpack_bids),
 }
 _KIND_BY_NUMBER = {kind.number: kind for kind in _KIND_OF.values()}
 KINDS = tuple(kind.name for kind in _KIND_OF.values())

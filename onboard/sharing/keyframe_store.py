@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import BinaryIO
 
-from onboard.codec.crc import crc32c
+from onboard.core.crc import crc32c
 from onboard.core.errors import InputError
 from onboard.sharing.messages import MAX_PAYLOAD_BYTES, MAX_RANGES, Digest, KeyframeMessage, SourceRanges
 

@@ -12,6 +12,8 @@ MAX_ALTERNATIVES = 3
 MAX_TIMES = 3000
 MAX_SOURCES = 255
 MAX_RANGES = 32
+MAX_BUNDLES = 16
+MAX_BIDS = 4
 
 
 class KeyframeMessage(msgspec.Struct, frozen=True):
@@ -97,4 +99,25 @@ class Release(msgspec.Struct, frozen=True):
     position_m: Vector
 
 
-Message = KeyframeMessage | Digest | Status | Target | Times | Propose | Ack | Commit | Release
+class BidMessage(msgspec.Struct, frozen=True):
+    """A claim to look at what is around `position_m`, worth `score` m^3/s (0.001 on the air)."""
+
+    position_m: Vector
+    score: float
+
+
+class BundleMessage(msgspec.Struct, frozen=True):
+    """The newest bids of a robot, `age_s` old (0.1 s on the air)."""
+
+    robot: int
+    age_s: float
+    bids: tuple[BidMessage, ...]
+
+
+class Bids(msgspec.Struct, frozen=True):
+    """The bundles that the sender knows, its own among them, for the auction of what to explore."""
+
+    bundles: tuple[BundleMessage, ...]
+
+
+Message = KeyframeMessage | Digest | Status | Target | Times | Propose | Ack | Commit | Release | Bids

@@ -13,9 +13,9 @@ import pytest
 
 from benchmarks import matrix, missions, tables
 from benchmarks.matrix import Mission, Settings
-from benchmarks.picture import draw_comparison, observers, read_ply
+from benchmarks.picture import draw_comparison, observers
 from benchmarks.recordings import find_recordings
-from ground_station.export import EventLog, write_json, write_ply
+from ground_station.export import EventLog, read_ply, write_json, write_ply
 from ground_station.palette import observer_colours
 from onboard.core.errors import InputError
 

@@ -25,7 +25,7 @@ from simulation.lidar import LidarSimulator
 from simulation.scene import Scene
 
 STEPS, STEP_M = 24, 0.2
-SETTINGS = RecordingSettings(keyframe_translation_m=1.0)
+SETTINGS = RecordingSettings(keyframe_translation_m=1.0, octomap=True, mesh=True)
 
 
 @pytest.fixture(scope="module")
@@ -107,6 +107,39 @@ def test_the_cloud_is_the_hall(mapped: tuple[Path, dict[str, Any]]) -> None:
     low, high = points[:, 2] < -0.8, points[:, 2] > 2.2
     colours = np.asarray(cloud.colors)[:, :3].astype(int)
     assert np.abs(colours[low].mean(axis=0) - colours[high].mean(axis=0)).max() > 60
+
+
+def test_the_mesh_lies_on_the_walls(mapped: tuple[Path, dict[str, Any]]) -> None:
+    out, _ = mapped
+    vertices = np.asarray(trimesh.load(out / "mesh.ply", process=False).vertices)
+    walls = ((0, -3.0), (0, 11.0), (1, -4.3), (1, 3.7), (2, -1.0), (2, 2.4))
+    for axis, place in walls:
+        others = [k for k in range(3) if k != axis]
+        middle = np.abs(vertices[:, others] - vertices[:, others].mean(axis=0)).max(axis=1) < 1.5
+        near = np.abs(vertices[:, axis] - place) < 0.3
+        assert (near & middle).sum() > 20
+        assert np.abs(vertices[near & middle, axis] - place).mean() < 0.05
+
+
+def test_the_octomap_has_all_voxels(mapped: tuple[Path, dict[str, Any]]) -> None:
+    octomap = pytest.importorskip("pyoctomap", reason="needs pyoctomap to read the tree")
+    out, metrics = mapped
+    tree = octomap.OcTree(1.0)
+    assert tree.readBinary(str(out / "map.bt"))
+    volumes = {True: 0.0, False: 0.0}
+    for leaf in tree.begin_leafs():
+        volumes[bool(tree.isNodeOccupied(leaf))] += leaf.getSize() ** 3
+    assert volumes[True] == pytest.approx(metrics["occupied_voxels"] * 0.008)
+    assert sum(volumes.values()) == pytest.approx(metrics["map_m3"])
+
+
+def test_nothing_is_exported_unasked(drive: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "few"
+    folder.mkdir()
+    for step in range(2):
+        (folder / f"scan_{step}.npy").symlink_to(drive / f"scan_{step}.npy")
+    map_recording(folder, "os0-64", tmp_path / "out")
+    assert not {"map.bt", "mesh.ply"} & {path.name for path in (tmp_path / "out").iterdir()}
 
 
 def test_the_report_and_its_picture_are_there(mapped: tuple[Path, dict[str, Any]]) -> None:

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.mapping.voxel_map import FREE, OCCUPIED, UNKNOWN
+from onboard.planning.floors import find_floors
+from onboard.planning.gait import LEGGED, Gait
 from onboard.planning.terrain import Terrain, walkable
 
 VOXEL_M = 0.2
@@ -64,10 +66,10 @@ def put(
     return window
 
 
-def walk(window: Statuses, start: NDArray[np.float64] = START) -> Terrain:
+def walk(window: Statuses, start: NDArray[np.float64] = START, gait: Gait = LEGGED) -> Terrain:
     """The lattice around a robot at `start` (3,)."""
     root = np.floor(start / VOXEL_M).astype(np.int64) - LOWER
-    return walkable(window, LOWER, VOXEL_M, root)
+    return walkable(window, find_floors(window, gait.clear, int(root[2])), LOWER, VOXEL_M, root, gait)
 
 
 def cell(x: float, y: float, z: float) -> NDArray[np.int64]:
@@ -76,5 +78,21 @@ def cell(x: float, y: float, z: float) -> NDArray[np.int64]:
 
 def gets_to(terrain: Terrain, x: float, y: float = 3.0, z: float = FLOOR_M) -> bool:
     """Whether the robot reaches the column at about that height."""
-    i, j, k = cell(x, y, z)
-    return bool(np.isfinite(terrain.cost[i, j, k - 1 : k + 2]).any())
+    return node_at(terrain, x, y, z) is not None
+
+
+def node_at(terrain: Terrain, x: float, y: float = 3.0, z: float = FLOOR_M) -> NDArray[np.int64] | None:
+    """The node (3,) that the robot reaches in that column at about that height."""
+    found = terrain.nodes_at(np.array([[x, y, z]]))
+    return None if found is None else found[0]
+
+
+def cost_at(terrain: Terrain, x: float, y: float = 3.0, z: float = FLOOR_M) -> float:
+    """Metres of way to there, inf where it is out of reach."""
+    node = node_at(terrain, x, y, z)
+    return np.inf if node is None else float(terrain.costs(node[None])[0]) * VOXEL_M
+
+
+def levels(terrain: Terrain, nodes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Voxel levels (N,) in the window of nodes (N, 3)."""
+    return np.floor(terrain.points(nodes)[:, 2] / VOXEL_M).astype(np.int64) - LOWER[2]

@@ -7,7 +7,7 @@ import struct
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.codec.crc import crc32c
+from onboard.core.crc import crc32c
 from onboard.core.geometry import Pose
 from onboard.core.lidar import LidarModel, Scan
 

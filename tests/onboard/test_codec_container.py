@@ -24,7 +24,7 @@ from onboard.codec.container import (
     references_bytes,
     unpack,
 )
-from onboard.codec.crc import crc32c
+from onboard.core.crc import crc32c
 from onboard.core.errors import CodecError, InputError, WireError
 from onboard.core.lidar import MODELS, OS0_64, VLP_16
 

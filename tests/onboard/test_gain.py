@@ -65,6 +65,19 @@ def test_nothing_is_seen_behind_walls():
     assert model.evaluate(voxel_map, [[5.1, 0.1, 0.1]])[0] > 100.0
 
 
+def test_unknown_space_behind_a_wall_gives_nothing_until_there_is_a_door():
+    voxel_map = VoxelMap()
+    voxel_map.assume_free([-12.0, -12.0, -12.0], [3.0, 12.0, 12.0])
+    y, z = np.meshgrid(np.arange(-11.9, 12, 0.2), np.arange(-11.9, 12, 0.2))
+    door = (np.abs(y) < 0.6) & (np.abs(z) < 0.6)
+    wall = np.stack([np.full(y.size, 3.1), y.ravel(), z.ravel()], axis=1)
+    voxel_map.assume_occupied(wall[~door.ravel()])
+    voxel_map.assume_occupied(wall[door.ravel()][:1])
+    assert full_view().evaluate(voxel_map, [[0.1, 0.1, 0.1]])[0] > 1.0
+    voxel_map.assume_occupied(wall)
+    assert full_view().evaluate_with_ray_count(voxel_map, [[0.1, 0.1, 0.1]]) == (0.0, 0.0)
+
+
 def test_closed_box_has_no_gain():
     voxel_map = VoxelMap()
     voxel_map.assume_free([-1, -1, -1], [1, 1, 1])
@@ -192,3 +205,14 @@ def test_model_must_fit_map_and_table():
         full_view().evaluate(VoxelMap(0.4), [[0, 0, 0]])
     with pytest.raises(InputError, match="too long"):
         GainModel(-0.3, 0.3, 60.0, 0.2)
+    with pytest.raises(InputError, match="too high"):
+        GainModel(-0.3, 0.3, 20.0, 0.2, 50.0)
+
+
+def test_gain_of_strong_attenuation_keeps_its_digits():
+    # of a shell behind known space only the first unknown decimetres count: r^2 / rate for each steradian
+    voxel_map, rate = VoxelMap(), 20.0
+    voxel_map.assume_free([-6.0, -6.0, -6.0], [6.0, 6.0, 6.0])
+    model = GainModel(-0.02, 0.02, 12.0, 0.2, rate, 0.02)
+    expected = 2 * np.pi * 2 * np.sin(0.02) * 36.0 * 4 / np.pi / rate  # mean of r^2 over the square's sides
+    assert model.evaluate(voxel_map, [[0.1, 0.1, 0.1]])[0] == pytest.approx(expected, rel=0.03)

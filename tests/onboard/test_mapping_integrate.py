@@ -141,19 +141,41 @@ def test_sources_are_counted_apart():
         assert voxel_map.known_count(*EVERYWHERE, source=source) == count
 
 
-def test_same_scans_give_the_same_bytes():
-    def build() -> VoxelMap:
-        rng, voxel_map = np.random.default_rng(2), VoxelMap()
+@pytest.mark.parametrize("threads", [1, 2, 3])
+def test_same_scans_give_the_same_bytes(threads):
+    def build(threads: int) -> VoxelMap:
+        rng, voxel_map = np.random.default_rng(2), VoxelMap(threads=threads)
         for step in range(6):
             sensor = Pose.from_rpy(np.array([0.3 * step, 0.1, 0.0]), yaw_rad=0.2 * step)
             voxel_map.integrate(room_scan(sensor, *ROOM, rng), sensor.matrix(), source=step % 2)
         return voxel_map
 
-    first, second = build().store, build().store
+    first, second = build(1).store, build(threads).store
     assert first.count == second.count
     assert np.array_equal(first.block_keys[: first.count], second.block_keys[: second.count])
-    for name in ("log_odds", "seen", "occupied", "own_occupied", "planning_known"):
+    for name in ("log_odds", "planning_occupied", "planning_known", "changed"):
         assert getattr(first, name).tobytes() == getattr(second, name).tobytes()
+    assert first.details.masks.tobytes() == second.details.masks.tobytes()
+
+
+def test_details_are_kept_only_where_needed():
+    voxel_map, pose = VoxelMap(), Pose.from_rpy(np.full(3, 0.1)).matrix()
+    voxel_map.integrate(wall_scan(3.05), pose)
+    blocks, alone = voxel_map.store.count, voxel_map.store.used_bytes()
+    assert voxel_map.store.details.count == 0
+    voxel_map.integrate(np.array([[1.0, 0, 0]], np.float32), pose, source=PEER)
+    assert voxel_map.store.count == blocks
+    assert voxel_map.store.details.count == 1
+    assert voxel_map.store.used_bytes() == alone + 5 * 64
+    own = VoxelMap()
+    own.integrate(wall_scan(3.05), pose)
+    assert np.array_equal(own.known_indices(OWN), voxel_map.known_indices(OWN))
+    assert np.array_equal(own.occupied_indices()[:, 0], np.full(len(own.occupied_indices()), 15))
+
+
+def test_map_without_threads_is_refused():
+    with pytest.raises(InputError, match="thread"):
+        VoxelMap(threads=0)
 
 
 def test_map_grows_beyond_its_first_capacity():

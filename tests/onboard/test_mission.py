@@ -20,10 +20,15 @@ SUCCESSORS = {
     Phase.DEPLOYING: {Phase.EXPLORING, Phase.CARRYING},
     Phase.TAKING_OFF: {Phase.EXPLORING},
     Phase.EXPLORING: {Phase.RETURNING},
-    Phase.RETURNING: {Phase.WAITING, Phase.EXPLORING},
-    Phase.WAITING: {Phase.RETURNING, Phase.EXPLORING, Phase.DONE},
+    Phase.RETURNING: {Phase.WAITING, Phase.EXPLORING, Phase.CARRYING},
+    Phase.WAITING: {Phase.RETURNING, Phase.EXPLORING, Phase.CARRYING, Phase.DONE},
     Phase.DONE: set(),
 }
+
+
+def can_be(start: Phase, facts: Facts) -> bool:
+    """Whether a robot that begins in this phase can have these facts: only a carrier has robots aboard."""
+    return start == Phase.CARRYING or not facts.aboard
 
 
 def followers(phase: Phase, **given: bool) -> set[Phase]:
@@ -56,6 +61,8 @@ def test_a_carrier_lets_go_only_when_the_trigger_fires_and_then_always():
 
 def test_a_carrier_waits_until_the_released_robot_is_clear():
     assert followers(Phase.DEPLOYING, peer_clear=False, aborted=False) == {Phase.DEPLOYING}
+    assert followers(Phase.DEPLOYING, peer_clear=True, aborted=False, aboard=True) == {Phase.CARRYING}
+    assert followers(Phase.DEPLOYING, peer_clear=True, aborted=False, aboard=False) == {Phase.EXPLORING}
     assert Phase.DEPLOYING not in followers(Phase.DEPLOYING, peer_clear=True)
 
 
@@ -79,7 +86,10 @@ def test_exploring_ends_when_time_or_goals_run_out():
 def test_waiting_needs_an_arrival_and_new_goals_resume_the_exploration():
     assert Phase.WAITING not in followers(Phase.RETURNING, arrived=False)
     assert followers(Phase.RETURNING, arrived=True, more=False) == {Phase.WAITING}
-    assert followers(Phase.RETURNING, more=True) == {Phase.EXPLORING}
+    for phase in (Phase.RETURNING, Phase.WAITING):
+        resumed = {"more": True, "complete": False}
+        assert followers(phase, aboard=False, **resumed) == {Phase.EXPLORING}
+        assert followers(phase, aboard=True, **resumed) == {Phase.CARRYING}
 
 
 @pytest.mark.parametrize("missing", ["arrived", "peers_arrived", "shared", "complete"])
@@ -93,7 +103,8 @@ def test_done_needs_everybody_there_and_everything_exchanged(missing):
 def test_every_role_can_get_done_and_only_by_waiting(start):
     reached, fringe = {start}, {start}
     while fringe:
-        fringe = {after for phase in fringe for after in followers(phase)} - reached
+        possible = [facts for facts in EVERYTHING if can_be(start, facts)]
+        fringe = {next_phase(phase, facts) for phase in fringe for facts in possible} - reached
         reached |= fringe
     assert Phase.DONE in reached
     assert [phase for phase in Phase if Phase.DONE in followers(phase) and phase != Phase.DONE] == [

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -20,7 +22,7 @@ from onboard.planning.deployment import (
     flight_time,
     tilt,
 )
-from tests.onboard.air_scenes import hollow
+from tests.onboard.air_scenes import hollow, wall
 
 FLYER = RobotSettings.model_validate(
     {
@@ -125,6 +127,73 @@ def test_a_tilted_carrier_never_releases():
     assert decide(0.0, outlook(), carrier=Pose.from_rpy(np.zeros(3), pitch_rad=MAX_TILT_RAD - 0.01)).fire
 
 
+@pytest.mark.parametrize(
+    ("charge", "reason"),
+    [(None, "no word from the robot aboard"), (0.59, "the robot aboard is not charged"), (0.6, "")],
+)
+def test_nothing_is_released_without_word_or_charge(charge, reason):
+    decision = Trigger(settings(min_battery=0.6), FLYER).evaluate(0.0, outlook(), LONG_S, LEVEL, charge)
+    assert decision.fire is (reason == "")
+    assert decision.reason == (reason or "the aerial robot would gain more")
+
+
+@pytest.mark.parametrize(("second", "fires"), [(0.9, True), (0.75, False)])
+def test_a_wish_that_was_there_a_cycle_ago_need_not_be_as_strong_again(second, fires):
+    trigger = Trigger(settings(debounce_cycles=2, gamma=0.0, hysteresis=0.2), FLYER)
+    assert trigger.evaluate(4.0, outlook(rate=4.0), LONG_S, LEVEL).reason == "debounce"
+    assert trigger.evaluate(4.0, outlook(rate=4.0 * second), LONG_S, LEVEL).fire is fires
+
+
+def test_the_papers_rule_has_no_memory():
+    trigger = Trigger(settings(rule="paper", debounce_cycles=2, gamma=0.0, hysteresis=0.2), FLYER)
+    assert trigger.evaluate(1e5, outlook(rays=1e5), LONG_S, LEVEL).reason == "debounce"
+    assert not trigger.evaluate(1e5, outlook(rays=0.99e5), LONG_S, LEVEL).fire
+
+
+def corridor() -> AerialOutlook | None:
+    """A low corridor that goes on into the unknown: what one sees from the air one sees from the ground."""
+    voxel_map = VoxelMap(0.2)
+    voxel_map.assume_free((0, 0, 0), (14, 2.4, 2.4))
+    for lower, upper in (
+        ((-0.2, -0.2, -0.2), (14, 2.6, 0.0)),
+        ((-0.2, -0.2, 2.4), (14, 2.6, 2.6)),
+        ((-0.2, -0.2, 0.0), (14, 0.0, 2.4)),
+        ((-0.2, 2.4, 0.0), (14, 2.6, 2.4)),
+    ):
+        wall(voxel_map, lower, upper)
+    rng = np.random.default_rng(0)
+    return aerial_outlook(voxel_map, Body(FLYER, 0.2), np.array([1.2, 1.2, 1.4]), rng, 30.0)
+
+
+@pytest.mark.parametrize(
+    ("scene", "ground_m3_s", "fires"),
+    [
+        ("flat maze", 4.0, False),
+        ("atrium", 1.0, True),
+        ("blocked stairs", 0.0, True),
+        ("sealed dead end", 0.0, False),
+    ],
+)
+def test_the_team_flies_where_flying_pays(scene, ground_m3_s, fires):
+    makers = {"flat maze": corridor, "sealed dead end": lambda: look(ROOM)}
+    air = makers.get(scene, unroofed)()
+    assert air is not None
+    trigger = Trigger(DeploymentSettings(), FLYER)
+    answers = [trigger.evaluate(ground_m3_s, air, LONG_S, LEVEL).fire for _ in range(3)]
+    assert answers == [False, False, fires]
+    if scene == "flat maze":
+        assert air.volume_m3 > DeploymentSettings().min_volume_m3  # there is something to see, for both
+
+
+def test_what_others_look_at_is_no_reason_to_fly():
+    alone = unroofed()
+    shared = unroofed(lambda points: np.full(len(points), 0.25))
+    assert alone is not None
+    assert shared is not None
+    assert shared.volume_m3 == pytest.approx(alone.volume_m3 / 4)
+    assert shared.rate_m3_s == pytest.approx(alone.rate_m3_s / 4)
+
+
 def test_a_boxed_in_flyer_is_not_released():
     decision = decide(0.0, None)
     assert not decision.fire
@@ -157,12 +226,12 @@ def look(*rooms: tuple, take_off: tuple[float, float, float] = (4.1, 4.1, 1.5)) 
     return aerial_outlook(hollow(*rooms), Body(FLYER, 0.2), np.array(take_off), rng, 30.0)
 
 
-def unroofed() -> AerialOutlook | None:
+def unroofed(left: Callable[[np.ndarray], np.ndarray] | None = None) -> AerialOutlook | None:
     """8 x 8 m of known free space with nothing seen around and above it."""
     voxel_map = VoxelMap(0.2)
     voxel_map.assume_free((0, 0, 0), (8, 8, 3))
     return aerial_outlook(
-        voxel_map, Body(FLYER, 0.2), np.array([4.1, 4.1, 1.5]), np.random.default_rng(0), 30.0
+        voxel_map, Body(FLYER, 0.2), np.array([4.1, 4.1, 1.5]), np.random.default_rng(0), 30.0, left
     )
 
 

@@ -7,36 +7,34 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onboard.planning.gait import LEGGED, gait_of
-from onboard.planning.terrain import Terrain, walkable
-from tests.onboard.floor_scenes import LOWER, VOXEL_M, flat, gets_to, put, window_of
+from onboard.planning.gait import LEGGED, Slopes, gait_of
+from onboard.planning.terrain import Terrain
+from tests.onboard.floor_scenes import VOXEL_M, flat, gets_to, put, walk, window_of
 
 BODY_M = (0.93, 0.53, 0.80)
 
 
 def walk_as(window: np.ndarray, size_m: tuple[float, float, float], step_m: float = 0.25) -> Terrain:
-    root = np.array([10, 15, 0]) - [0, 0, LOWER[2]]
-    return walkable(window, LOWER, VOXEL_M, root, gait_of(size_m, step_m, 0.5236, VOXEL_M))
+    return walk(window, gait=gait_of(size_m, step_m, Slopes(), VOXEL_M))
 
 
 def test_the_default_is_a_quadruped_on_usual_voxels():
-    assert gait_of(BODY_M, 0.25, 0.5236, 0.2) == LEGGED
-    assert (LEGGED.rise, LEGGED.low, LEGGED.high) == (1, 2, 4)
+    assert gait_of(BODY_M, 0.25, Slopes(), 0.2) == LEGGED
+    assert (LEGGED.step, LEGGED.clear) == (1.5, 4)
     assert LEGGED.hard2 <= LEGGED.turn2 <= LEGGED.soft**2
 
 
 @given(st.floats(0.3, 1.5), st.floats(0.2, 0.9), st.floats(0.3, 1.5), st.sampled_from([0.05, 0.1, 0.2, 0.4]))
 def test_larger_bodies_need_no_less_room(length, width, height, voxel):
-    small = gait_of((length, width, height), 0.25, 0.5, voxel)
-    large = gait_of((length + 0.2, width + 0.2, height + 0.2), 0.25, 0.5, voxel)
+    small = gait_of((length, width, height), 0.25, Slopes(), voxel)
+    large = gait_of((length + 0.2, width + 0.2, height + 0.2), 0.25, Slopes(), voxel)
     assert all(b >= a for a, b in zip(small, large, strict=True))
-    assert small.low == small.rise + 1
-    assert small.high * voxel >= height - 1e-3
+    assert small.clear * voxel >= height - 1e-3
 
 
-@pytest.mark.parametrize(("step_m", "rise"), [(0.1, 1), (0.25, 1), (0.4, 2), (0.7, 3)])
-def test_steps_are_whole_voxels_and_at_least_one(step_m, rise):
-    assert gait_of(BODY_M, step_m, 0.5, 0.2).rise == rise
+@pytest.mark.parametrize(("step_m", "step"), [(0.1, 1.25), (0.25, 1.5), (0.4, 2.25), (0.7, 3.75)])
+def test_steps_are_at_least_a_voxel(step_m, step):
+    assert gait_of(BODY_M, step_m, Slopes(), 0.2).step == pytest.approx(step)
 
 
 @pytest.mark.parametrize(("width_m", "passes"), [(0.3, True), (0.53, True), (1.2, False)])

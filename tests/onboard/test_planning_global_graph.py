@@ -7,7 +7,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.planning.global_graph import DEAR, FRONTIER_SPACING_M, NODE_SPACING_M, GlobalGraph
+from onboard.mapping.store import block_keys_of_box
+from onboard.planning.global_graph import DEAR_M, DETOUR, LINK_M, NODE_SPACING_M, GlobalGraph
+
+BLOCK_M = 1.6
 
 
 def always(start: np.ndarray, end: np.ndarray) -> bool:
@@ -43,7 +46,9 @@ graphs = st.tuples(
 
 def built(nodes: int, edges: list[tuple[int, int]], seed: int) -> tuple[GlobalGraph, np.ndarray]:
     """A graph of random places with given edges, and its all-pairs distances (Floyd and Warshall)."""
-    places = np.random.default_rng(seed).uniform(-50, 50, (nodes, 3))
+    rng = np.random.default_rng(seed)
+    grid = 4.0 * np.array([(x, y, 0) for x in range(3) for y in range(3)])
+    places = rng.permutation(grid)[:nodes] + rng.uniform(-1.5, 1.5, (nodes, 3))
     graph = GlobalGraph(places[0])
     nothing = np.zeros(nodes - 1, bool)
     graph.add_chain(places[1:], lambda starts, ends: nothing[: len(starts)])
@@ -103,57 +108,147 @@ def test_new_nodes_are_linked_to_those_in_sight():
     assert trail(*square, visible=never).route(0, 3) == [0, 1, 2, 3]
 
 
-def test_a_blocked_trail_becomes_dear_but_stays():
+def wall(*places: np.ndarray):
+    """What the map says of straight ways when something stands at these points."""
+
+    def blocked(starts: np.ndarray, ends: np.ndarray) -> np.ndarray:
+        found = np.zeros(len(starts), bool)
+        for point in places:
+            way, offset = ends - starts, point - starts
+            share = np.sum(way * offset, axis=1) / np.maximum(np.sum(way * way, axis=1), 1e-12)
+            nearest = starts + np.clip(share, 0, 1)[:, None] * way
+            found |= np.linalg.norm(nearest - point, axis=1) < 0.2
+        return found
+
+    return blocked
+
+
+def everywhere(graph: GlobalGraph) -> list[int]:
+    low = np.floor(graph.points.min(axis=0) / BLOCK_M).astype(np.int64) - 1
+    high = np.floor(graph.points.max(axis=0) / BLOCK_M).astype(np.int64) + 1
+    return block_keys_of_box(low, high).tolist()
+
+
+def changed_at(point: np.ndarray) -> list[int]:
+    block = np.floor(point / BLOCK_M).astype(np.int64)
+    return block_keys_of_box(block, block).tolist()
+
+
+def test_a_blocked_trail_becomes_dear_and_is_itself_again_when_free():
     graph = corridor()
-    before = graph.distances(0)
-    assert graph.block(2, 3)
-    assert not graph.block(3, 2)
+    before = graph.distances(0).copy()
+    graph.verify(everywhere(graph), wall(at(5)))
     after = graph.distances(0)
     assert after[:3] == pytest.approx(before[:3])
-    assert after[3:] == pytest.approx(before[3:] + (DEAR - 1) * 2.0)
+    assert after[3:] == pytest.approx(before[3:] + DEAR_M)
     assert graph.route(0, 5) == [0, 1, 2, 3, 4, 5]
+    assert graph.looks_blocked([0, 1, 2, 3])
+    assert not graph.looks_blocked([0, 1, 2])
+    graph.verify(everywhere(graph), wall())
+    assert graph.distances(0) == pytest.approx(before)
 
 
-def test_a_detour_that_is_shorter_than_the_dear_way_is_taken():
+def test_a_detour_that_is_shorter_than_the_dear_way_is_taken_while_it_is_blocked():
     graph = corridor()
     graph.add_chain(np.array([at(4), at(5, 3), at(6)]), lambda starts, ends: np.ones(len(starts), bool))
     assert graph.route(0, 5) == [0, 1, 2, 3, 4, 5]
-    graph.block(2, 3)
+    graph.verify(changed_at(at(5)), wall(at(5)))
     assert graph.route(0, 5) == [0, 1, 2, 6, 3, 4, 5]
+    graph.verify(changed_at(at(5)), wall())
+    assert graph.route(0, 5) == [0, 1, 2, 3, 4, 5]
 
 
-def test_a_blocked_edge_that_nobody_walked_is_removed():
+def test_a_blocked_way_that_nobody_walked_is_closed_until_it_is_free():
     graph = corridor()
-    node = graph.add_path(np.array([at(10), at(14)]), 5.0, never)
-    assert node is not None
-    route = graph.route(graph.here, node)
-    assert graph.block(route[-2], route[-1])
+    node = graph.add_path(np.array([at(10), at(14)]), never)
+    graph.verify([], wall(at(12)))
     assert graph.route(graph.here, node) == []
     assert graph.distances(0)[node] == np.inf
-    graph.block(0, node)
-    assert len(graph.route(0, graph.here)) == 6
+    graph.verify(changed_at(at(12)), wall())
+    assert graph.distances(0)[node] == pytest.approx(14.0)
 
 
-def test_frontiers_keep_their_distance_and_are_reached_by_the_path_that_was_given():
+def test_only_new_ways_and_those_near_a_change_are_tested():
+    graph = corridor()
+    assert graph.verify([], wall()) == 5
+    assert graph.verify([], wall()) == 0
+    assert graph.verify(changed_at(at(0.5, 40)), wall()) == 0
+    assert 1 <= graph.verify(changed_at(at(0.5)), wall()) < 5
+    assert graph.verify(everywhere(graph), wall()) == 5
+
+
+@settings(max_examples=40)
+@given(graphs, st.integers(0, 2**31))
+def test_verifying_what_changed_is_as_good_as_verifying_everything(parts, seed):
+    """A voxel anywhere on a body's way lies in a block in which the way is entered."""
+    graph, _ = built(*parts)
+    graph.verify([], wall())
+    rng = np.random.default_rng(seed)
+    ways = list(graph.edges.ways)
+    if not ways:
+        return
+    first, second = ways[int(rng.integers(len(ways)))]
+    place = graph.points[first] + rng.uniform() * (graph.points[second] - graph.points[first])
+    graph.verify(changed_at(place + rng.uniform(-0.1, 0.1, 3)), wall(place))
+    lazy = {edge: way.blocked for edge, way in graph.edges.ways.items()}
+    graph.verify(everywhere(graph), wall(place))
+    assert lazy == {edge: way.blocked for edge, way in graph.edges.ways.items()}
+    assert lazy[first, second]
+
+
+def test_a_path_is_kept_with_spaced_nodes_as_it_was_given():
     graph = corridor()
     path = np.array([at(10), at(10, 4), at(13, 4)])
-    node = graph.add_path(path, 7.5, never)
-    assert graph.frontiers == {node: 7.5}
+    node = graph.add_path(path, never)
     assert np.array_equal(graph.points[node], path[-1])
     assert graph.distances(graph.here)[node] == pytest.approx(7.0)
     legs = np.diff(graph.points[graph.route(graph.here, node)], axis=0)
     assert np.linalg.norm(legs, axis=1).max() <= NODE_SPACING_M + 1e-9
-    close = path + np.array([FRONTIER_SPACING_M - 0.1, 0, 0])
-    assert graph.add_path(close, 9.0, never) is None
-    assert graph.add_path(path + np.array([0, FRONTIER_SPACING_M + 0.1, 0]), 9.0, never) is not None
-    assert len(graph.frontiers) == 2
+
+
+def test_dead_ends_that_nothing_needs_any_more_are_given_back():
+    graph = corridor()
+    graph.verify([], wall())
+    one = graph.add_path(np.array([at(10), at(10, 4), at(13, 4)]), never)
+    nodes, ways = len(graph), len(graph.edges.ways)
+    other = graph.add_path(np.array([at(10), at(10, -6)]), never)
+    graph.release(other)
+    assert (len(graph), len(graph.edges.ways)) == (nodes, ways)
+    assert graph.distances(0)[one] == pytest.approx(17.0)
+    graph.release(one)
+    assert (len(graph), len(graph.edges.ways)) == (6, 5)
+    again = graph.add_path(np.array([at(10), at(10, 4)]), never)
+    assert len(graph.points) <= nodes + 4
+    assert graph.distances(0)[again] == pytest.approx(14.0)
+
+
+def test_what_a_path_shares_with_another_one_stays():
+    graph = corridor()
+    path = np.array([at(10), at(10, 6)])
+    near = graph.add_path(np.array([at(10), at(10, 3)]), always)
+    far = graph.add_path(path, always)
+    graph.release(near)
+    assert graph.distances(0)[far] == pytest.approx(16.0)
+    graph.release(far)
+    assert len(graph) == 6
+
+
+def test_links_are_kept_only_where_they_save_a_detour():
+    straight = trail(*[at(1.2 * i) for i in range(40)], visible=always)
+    assert len(straight.edges.ways) == len(straight) - 1
+    ring = [at(8 * np.cos(a), 8 * np.sin(a)) for a in np.linspace(0, 2 * np.pi - 0.3, 40)]
+    closed = trail(*ring, visible=always)
+    around = closed.distances(0)
+    for node in range(len(closed)):
+        direct = np.linalg.norm(closed.points[node] - closed.points[0])
+        assert direct > LINK_M or around[node] <= DETOUR * direct + 1e-9
 
 
 def test_a_path_uses_nodes_that_are_there_only_where_it_can_see_them():
     place = np.array([at(10), at(8.1), at(4.1, 3)])
     blind, seeing = corridor(), corridor()
-    blind.add_path(place, 1.0, never)
-    seeing.add_path(place, 1.0, always)
+    blind.add_path(place, never)
+    seeing.add_path(place, always)
     assert len(seeing) < len(blind)
 
 

@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from onboard.core.config import PlannerSettings
 from onboard.mapping.voxel_map import FREE, OCCUPIED, VoxelMap
-from onboard.planning.aerial_graph import AerialGraph, air_space, build_aerial_graph
+from onboard.planning.aerial_graph import AerialGraph, build_aerial_graph
+from onboard.planning.air_space import air_space
 from onboard.planning.ground_graph import GroundGraph, build_ground_graph
 from onboard.planning.local_graph import polyline_length, resample, thin, truncate
 from tests.onboard.air_scenes import hollow, wall

@@ -1,4 +1,4 @@
-"""Remaining paths, the time budget and goals that did not work out."""
+"""Remaining paths and goals that did not work out."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from onboard.planning.plan import (
     GIVE_UP_M,
     GIVE_UP_S,
     NOTHING,
-    Budget,
     Plan,
     Refusals,
     remaining_path,
@@ -70,14 +69,6 @@ def test_repeated_points_do_not_divide_by_zero():
 def test_goal_and_nothing():
     assert Plan(L_SHAPE, "local").goal.tolist() == [4, 4, 0]
     assert len(NOTHING.path) == 0
-
-
-def test_a_new_budget_is_unlimited_and_has_nowhere_to_be():
-    budget = Budget()
-    assert budget.remaining_s == np.inf
-    assert budget.back_to is None
-    assert budget.margin_s > 0
-    assert 0 < budget.margin_ratio < 1
 
 
 def test_a_refused_goal_and_its_surroundings_are_left_alone_for_a_while():

@@ -11,12 +11,15 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.codec.crc import crc32c
+from onboard.core.crc import crc32c
 from onboard.core.errors import InputError, WireError
 from onboard.sharing.frames import KINDS, kind_name, pack, unpack
 from onboard.sharing.messages import (
     MAX_PAYLOAD_BYTES,
     Ack,
+    BidMessage,
+    Bids,
+    BundleMessage,
     Commit,
     Digest,
     KeyframeMessage,
@@ -64,6 +67,8 @@ statuses = st.builds(
     u32,
 )
 travel_times = st.builds(TravelTime, u32, positions, u16.map(lambda t: t * 0.1))
+bids = st.builds(BidMessage, positions, u32.map(lambda steps: steps * 0.001))
+bundles = st.builds(BundleMessage, u8, u16.map(lambda t: t * 0.1), st.lists(bids, max_size=4).map(tuple))
 messages = st.one_of(
     st.builds(KeyframeMessage, u8, u32, stamps, st.binary(max_size=300)),
     digests,
@@ -74,6 +79,7 @@ messages = st.one_of(
     st.builds(Ack, u16),
     st.builds(Commit, u16, positions),
     st.builds(Release, positions),
+    st.builds(Bids, st.lists(bundles, max_size=6, unique_by=lambda bundle: bundle.robot).map(tuple)),
 )
 
 
@@ -125,6 +131,9 @@ def test_hostile_bodies_with_a_good_checksum_decode_or_are_refused(kind: int, bo
         KeyframeMessage(0, 0, 0.0, bytes(MAX_PAYLOAD_BYTES + 1)),
         KeyframeMessage(256, 0, 0.0, b""),
         Digest(0.0, (SourceRanges(0, ((0, 1),) * 33),)),
+        Bids((BundleMessage(1, 7000.0, ()),)),
+        Bids((BundleMessage(1, 0.0, (BidMessage((0.0, 0.0, 0.0), -1.0),)),)),
+        Bids((BundleMessage(1, 0.0, (BidMessage((0.0, 0.0, 0.0), 1.0),) * 5),)),
     ],
     ids=repr,
 )
@@ -134,7 +143,7 @@ def test_what_the_format_cannot_carry_is_refused_before_sending(message: Message
 
 
 def test_counts_are_bounded_before_anything_is_read() -> None:
-    for kind, body in ((5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff")):
+    for kind, body in ((5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff"), (10, b"\xff")):
         head = bytes([1, kind, 0, 1]) + body
         with pytest.raises(WireError, match="items, at most"):
             unpack(head + struct.pack("<I", crc32c(head)))
@@ -147,9 +156,14 @@ def test_digest_ranges_must_ascend_with_gaps(ranges: tuple[tuple[int, int], ...]
 
 
 def test_unknown_versions_and_kinds_are_refused() -> None:
-    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 10, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
+    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 11, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
         with pytest.raises(WireError, match="unknown version"):
             unpack(head + struct.pack("<I", crc32c(head)))
+
+
+def test_bids_name_a_robot_once() -> None:
+    with pytest.raises(WireError, match="twice"):
+        unpack(pack(Bids((BundleMessage(3, 0.0, ()), BundleMessage(3, 1.0, ()))), 0, 1))
 
 
 def documented_vectors() -> list[tuple[str, str]]:

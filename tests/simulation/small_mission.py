@@ -41,6 +41,8 @@ def team(robots: str = "both", **sections: dict[str, Any]) -> Config:
     }
     if robots == "ground":
         update["robots"] = config.robots[:1]
+    if robots == "aerial":
+        update["robots"] = config.robots[1:]
     return config.model_copy(update=update)
 
 
@@ -61,3 +63,35 @@ def played(config: Config, world: World, seed: int = 1) -> tuple[Mission, list[E
     while not mission.done():
         mission.tick()
     return mission, events
+
+
+QUARTERS: list[Box] = [
+    (-12.2, -8.2, -0.2, 12.2, 8.2, 0.0),
+    (-12.2, -8.2, 3.0, 12.2, 8.2, 3.2),
+    (-12.2, -8.2, 0.0, -12.0, 8.2, 3.0),
+    (12.0, -8.2, 0.0, 12.2, 8.2, 3.0),
+    (-12.0, -8.2, 0.0, 12.0, -8.0, 3.0),
+    (-12.0, 8.0, 0.0, 12.0, 8.2, 3.0),
+    (-0.1, 2.0, 0.0, 0.1, 8.0, 3.0),
+    (-0.1, -8.0, 0.0, 0.1, -2.0, 3.0),
+    (-12.0, -0.1, 0.0, -3.0, 0.1, 3.0),
+    (3.0, -0.1, 0.0, 12.0, 0.1, 3.0),
+]
+"""Four rooms of 12 x 8 m around an open middle."""
+
+
+def quarters() -> World:
+    """The world of four rooms, with the start in the middle."""
+    vertices, triangles = boxes_mesh(QUARTERS)
+    return World("quarters", None, vertices, triangles, np.array([-1.5, 0.0, 0.0]), 0.0)
+
+
+def flock(flyers: int, duration_s: float) -> Config:
+    """The shipped carrier with that many aerial robots, which plan coarsely to save time."""
+    at_once = {**EAGER, "launch_s": 1.0, "min_volume_m3": 0.01}
+    config = team(mission={"duration_s": duration_s}, deployment=at_once)
+    carrier, flyer = config.robots
+    coarse = {"vertices": 150, "gain_vertices": 40, "window_m": (16.0, 16.0, 4.0)}
+    flyer = flyer.model_copy(update={"planner": flyer.planner.model_copy(update=coarse)})
+    aboard = [flyer.model_copy(update={"name": f"aerial-{i}", "id": 2 + i}) for i in range(flyers)]
+    return config.model_copy(update={"robots": (carrier, *aboard)})

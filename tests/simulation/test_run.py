@@ -78,7 +78,7 @@ def map_points(out: Path) -> int:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any], list[Progress]]:
     out = tmp_path_factory.mktemp("run")
     seen: list[Progress] = []
-    return out, simulate(CONFIG, room(), 3, out, progress=seen.append), seen
+    return out, simulate(CONFIG, room(), 3, out, progress=seen.append, octomap=True), seen
 
 
 def test_all_files_are_there_and_readable(finished):
@@ -86,6 +86,7 @@ def test_all_files_are_there_and_readable(finished):
     assert {path.name for path in out.iterdir()} >= FILES
     assert json.loads((out / "metrics.json").read_text()) == json.loads(json.dumps(metrics))
     assert map_points(out) > 3_000
+    assert (out / "map.bt").read_bytes().startswith(b"# Octomap OcTree binary file\n")
     report = (out / "report.html").read_text()
     assert report.lstrip().lower().startswith("<!doctype html")
     assert "room, seed 3" in report
@@ -174,6 +175,18 @@ def test_a_ground_robot_alone(tmp_path):
     assert metrics["complete"] is (metrics["robots"]["ground"]["home"])
 
 
+def test_an_aerial_robot_alone_takes_off_and_comes_back(tmp_path):
+    metrics = simulate(team(mission={"duration_s": 90.0}), room(), 1, tmp_path, team="aerial")
+    assert set(metrics) == TOP
+    aerial = metrics["robots"]["aerial"]
+    assert metrics["deployed"] is False
+    assert (aerial["collisions"], aerial["home"], metrics["complete"]) == (0, True, True)
+    assert aerial["explored_m3"] == metrics["union_m3"] > 0.8 * ROOM_M3
+    assert metrics["regroup"] == pytest.approx([-3.0, 0.0, 1.4], abs=0.01)
+    phases = [event["phase"] for event in events_of(tmp_path) if event["kind"] == "phase"]
+    assert phases == ["exploring", "returning", "waiting", "done"]
+
+
 def test_ctrl_c_leaves_what_there_is_and_goes_on(tmp_path):
     def interrupt(progress: Progress) -> None:
         if progress.time_s >= 5.0 and not interrupted:
@@ -196,6 +209,8 @@ def test_a_team_that_is_not_in_the_configuration_is_refused():
     config = CONFIG.model_copy(update={"robots": CONFIG.robots[1:]})
     with pytest.raises(ConfigError, match="a mission needs a ground robot"):
         select_team(config, "ground")
+    with pytest.raises(ConfigError, match="no aerial robot"):
+        select_team(CONFIG.model_copy(update={"robots": CONFIG.robots[:1]}), "aerial")
 
 
 @pytest.mark.parametrize("start", [(20.0, 0.0, 0.0), (-3.0, 0.0, 9.0)])

@@ -63,8 +63,10 @@ class Simulator:
         out: Path,
         team: str,
         progress: Callable[[FakeProgress], None],
+        octomap: bool,
     ) -> dict[str, Any]:
         self.calls.append((config, world, seed, out, team))
+        self.octomap = octomap
         with EventLog(out / "events.jsonl") as log:
             log.write(0.0, "start")
             progress(FakeProgress())

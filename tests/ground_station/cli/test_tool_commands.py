@@ -34,11 +34,11 @@ def test_map_reports_and_prints(cli: Any, monkeypatch: pytest.MonkeyPatch, tmp_p
     calls: list[tuple[Any, ...]] = []
 
     def fake(
-        path: Path, sensor: str, out: Path, progress: Callable[[int, int | None], None]
+        path: Path, sensor: str, out: Path, progress: Callable[[int, int | None], None], settings: Any
     ) -> dict[str, Any]:
         progress(3, None)
         progress(10, 10)
-        calls.append((path, sensor, out))
+        calls.append((path, sensor, out, settings.octomap, settings.mesh))
         return {"scans": 10}
 
     module = ModuleType("ground_station.recording")
@@ -46,9 +46,9 @@ def test_map_reports_and_prints(cli: Any, monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.setitem(sys.modules, "ground_station.recording", module)
     recording = tmp_path / "walk.pcap"
     recording.write_bytes(b"")
-    result = cli.run("map", recording, "--sensor", "os0-64", "--out", tmp_path / "map", "--json")
+    result = cli.run("map", recording, "--sensor", "os0-64", "--out", tmp_path / "map", "--json", "--mesh")
     assert json.loads(result.stdout) == {"scans": 10}
-    assert calls == [(recording, "os0-64", tmp_path / "map")]
+    assert calls == [(recording, "os0-64", tmp_path / "map", False, True)]
     assert "Scans" in cli.run("map", recording, "--out", tmp_path / "map").stdout
 
 

@@ -1,4 +1,4 @@
-"""CRC32C (Castagnoli), the checksum of keyframes and of every frame on the air.
+"""CRC32C (Castagnoli), the checksum of keyframes, of every frame on the air and of stored maps.
 
 A table kernel here rather than one more package: numba is a dependency anyway, the polynomial is fixed for
 ever, and a frame of a few kilobytes takes microseconds.

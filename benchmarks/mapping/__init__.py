@@ -1,0 +1,1 @@
+"""Speed, fidelity and memory of the voxel map beside other maps."""

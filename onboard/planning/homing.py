@@ -1,0 +1,53 @@
+"""Travel times over the global graph, with the time that turns take."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.core.config import RobotSettings
+from onboard.planning.global_graph import GlobalGraph
+from onboard.planning.local_graph import FloatArray
+
+FREE_TURN_RAD = 0.4
+"""Turns up to this one are taken while moving."""
+
+
+def times_over_graph(graph: GlobalGraph, sources: tuple[int, ...], settings: RobotSettings) -> FloatArray:
+    """Seconds (N,) from each node to the nearest of `sources`, inf where there is no way.
+
+    The sum over the cheapest way of length / speed, and of what its turns exceed FREE_TURN_RAD / yaw rate.
+    Lengths are true lengths on slopes, so that climbing counts as slower than the same way on the map; ways
+    that look blocked count as longer.
+    """
+    costs, following, _ = graph.tree(sources)
+    after = np.where(following >= 0, following, np.arange(len(costs)))
+    points = np.where(np.isfinite(graph.points), graph.points, 0.0)
+    lengths = np.linalg.norm(points[after] - points, axis=1)
+    for first, second in graph.edges.blocked():
+        node = first if after[first] == second else second
+        if after[node] in (first, second) and after[node] != node:
+            lengths[node] = graph.edges.ways[first, second].travel_m
+    leg_s = lengths / settings.speed_m_s + _turns(points, after) / settings.yaw_rate_rad_s
+    return np.where(np.isfinite(costs), _summed(leg_s, after), np.inf)
+
+
+def _turns(points: FloatArray, after: NDArray[np.int64]) -> FloatArray:
+    """Radians (N,) beyond FREE_TURN_RAD that each node's way turns at its next node."""
+    beyond = after[after]
+    first, second = points[after] - points, points[beyond] - points[after]
+    change = np.arctan2(second[:, 1], second[:, 0]) - np.arctan2(first[:, 1], first[:, 0])
+    turns = np.abs((change + np.pi) % (2 * np.pi) - np.pi)
+    level = np.minimum(np.hypot(*first[:, :2].T), np.hypot(*second[:, :2].T))
+    turns[level < 0.1] = 0.0
+    return np.asarray(np.maximum(turns - FREE_TURN_RAD, 0.0))
+
+
+def _summed(legs: FloatArray, after: NDArray[np.int64]) -> FloatArray:
+    """(N,) sums of `legs` along the way of each node; the strides double in each round."""
+    while True:
+        beyond = after[after]
+        if np.array_equal(beyond, after):
+            return legs
+        legs = legs + legs[after]
+        after = beyond

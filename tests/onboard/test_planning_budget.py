@@ -1,0 +1,160 @@
+"""The time budget, travel times with turns, and getting home when the way is blocked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from onboard.core.config import MapSettings
+from onboard.planning.budget import DOCKING_S, Budget
+from onboard.planning.edges import SLOW
+from onboard.planning.explorer import Explorer
+from onboard.planning.global_graph import GlobalGraph
+from onboard.planning.homing import FREE_TURN_RAD, times_over_graph
+from onboard.planning.plan import Plan
+from tests.onboard.air_scenes import Corner, hollow, wall
+from tests.onboard.test_planning_deployment import FLYER
+
+seconds = st.floats(0, 1e4)
+HOME = np.array([1.0, 1.0, 1.5])
+FAR = np.array([19.0, 9.0, 1.5])
+RING = (
+    ((0.0, 0.0, 0.0), (20.0, 2.0, 3.0)),
+    ((18.0, 0.0, 0.0), (20.0, 10.0, 3.0)),
+    ((0.0, 8.0, 0.0), (20.0, 10.0, 3.0)),
+    ((0.0, 0.0, 0.0), (2.0, 10.0, 3.0)),
+)
+"""Corridors of 2 m around a block of rock."""
+
+
+@given(seconds, seconds, seconds)
+def test_what_is_affordable_leaves_the_margins_and_the_docking(path_s, back_s, remaining_s):
+    budget = Budget.of(FLYER, remaining_s)
+    left = remaining_s - path_s - back_s * (1 + FLYER.planner.home_margin_ratio)
+    assert budget.affords(path_s, back_s) == (left >= FLYER.planner.home_margin_s + DOCKING_S["aerial"])
+
+
+@given(seconds)
+def test_the_longest_way_is_just_affordable(remaining_s):
+    budget = Budget.of(FLYER, remaining_s)
+    longest = budget.longest_way_s
+    assert longest >= 0
+    if longest > 0:
+        assert budget.needed(0.0, longest) == pytest.approx(remaining_s)
+        assert not budget.affords(0.0, longest + 0.1)
+
+
+def test_without_an_end_everything_is_affordable_but_nothing_leads_nowhere_in_time():
+    assert Budget().affords(1e9, 1e9)
+    assert not Budget.of(FLYER, 1e6).affords(0.0, np.inf)
+
+
+@given(st.lists(st.tuples(st.floats(-9, 9), st.floats(-9, 9)), min_size=3, max_size=8, unique=True))
+def test_times_are_those_of_the_ways_and_of_what_their_turns_exceed(corners):
+    points = np.column_stack([np.array(corners), np.zeros(len(corners))])
+    graph = GlobalGraph(points[0])
+    chain = [0]
+    for point in points[1:]:
+        chain.append(graph._add(point))
+        graph.connect(chain[-2], chain[-1])
+    times = times_over_graph(graph, (0,), FLYER)
+    legs = np.diff(points, axis=0)
+    headings = np.arctan2(legs[:, 1], legs[:, 0])
+    for node in range(len(points)):
+        turns = np.abs((np.diff(headings[:node]) + np.pi) % (2 * np.pi) - np.pi)
+        lengths = np.linalg.norm(legs[:node], axis=1)
+        clear = np.minimum(lengths[1:], lengths[:-1]) >= 0.1
+        extra = (np.maximum(turns - FREE_TURN_RAD, 0) * clear).sum()
+        assert times[node] == pytest.approx(lengths.sum() / 1.0 + extra / FLYER.yaw_rate_rad_s, abs=1e-6)
+
+
+def flown(
+    *corners: tuple[float, float],
+    remaining_s: float = np.inf,
+    rooms: tuple[tuple[Corner, Corner], ...] = RING,
+) -> Explorer:
+    """A flying robot that went along these corners from HOME, and has to be back there."""
+    robot = Explorer(FLYER, MapSettings(), seed=1)
+    robot.map = hollow(*rooms)
+    robot.begin(HOME, 0.0)
+    robot.budget.back_to, robot.budget.remaining_s = HOME, remaining_s
+    at = HOME
+    for x, y in corners:
+        end = np.array([x, y, 1.5])
+        for share in np.arange(0.0, 1.0, 0.3 / np.linalg.norm(end - at)):
+            robot.observe(at + share * (end - at))
+        at = end
+    robot.observe(at)
+    robot.verify_ways()
+    return robot
+
+
+def test_a_blocked_way_home_is_flown_around_and_its_length_counts_at_once():
+    robot = flown((19.0, 1.0), (19.0, 9.0), (1.0, 9.0), (1.0, 1.4), (1.0, 9.0), (19.0, 9.0), (19.0, 5.0))
+    here = np.array([19.0, 5.0, 1.5])
+    direct_s = robot.return_time(here)
+    assert direct_s == pytest.approx(22.0, abs=4.0)
+    wall(robot.map, (8.0, 0.0, 0.0), (8.4, 2.0, 3.0))
+    robot.verify_ways()
+    around_s = robot.return_time(here)
+    assert around_s == pytest.approx(30.0, abs=6.0)
+    assert around_s > direct_s + 4
+    path = robot.go_to(here, HOME).path
+    assert len(path) > 2
+    assert path[:, 1].max() > 8.0
+    assert not robot.way_blocked
+    assert not robot.path_blocked(path, np.inf)
+
+
+def test_what_stands_in_the_way_but_leaves_room_is_passed_locally():
+    robot = flown((16.0, 1.0), rooms=(((0.0, -2.0, 0.0), (20.0, 4.0, 3.0)),))
+    wall(robot.map, (7.0, 0.6, 0.0), (7.4, 1.4, 3.0))
+    plan = robot.go_to(np.array([16.0, 1.0, 1.5]), HOME)
+    assert plan.kind == "route"
+    assert not robot.way_blocked
+    assert not robot.path_blocked(plan.path, np.inf)
+
+
+def test_where_nothing_leads_around_the_robot_says_so_and_has_turned_back_in_time():
+    robot = flown((19.0, 1.0), (19.0, 9.0), remaining_s=200.0)
+    here = Plan(FAR[None], "here")
+    assert robot.affordable(here)
+    wall(robot.map, (8.0, 0.0, 0.0), (8.4, 2.0, 3.0))
+    robot.verify_ways()
+    blocked_s = robot.return_time(FAR)
+    assert blocked_s > 26.0 + (SLOW - 1) * 0.9  # what looks blocked is not counted as free
+    plan = robot.go_to(FAR, HOME)
+    assert robot.way_blocked
+    assert len(plan.path) > 0  # as near as it gets; the monitor stops it in front of the wall
+    assert robot.path_blocked(plan.path, np.inf)
+    robot.budget.remaining_s = robot.budget.needed(0.0, blocked_s) - 0.1
+    assert not robot.affordable(here)
+
+
+def test_a_way_that_only_the_map_knew_is_no_way_when_it_is_blocked():
+    robot = flown((5.0, 1.0))
+    robot.graph.add_path(np.array([(5.0, 1.0, 1.5), (14.0, 1.0, 1.5)]), robot.visible)
+    target = np.array([14.0, 1.0, 1.5])
+    assert np.isfinite(robot.times_to(np.array([5.0, 1.0, 1.5]), target[None])[0])
+    wall(robot.map, (8.0, 0.0, 0.0), (8.4, 2.0, 3.0))
+    robot.verify_ways()
+    assert np.isinf(robot.times_to(np.array([5.0, 1.0, 1.5]), target[None])[0])
+    assert np.isinf(robot.time_through(np.array([5.0, 1.0, 1.5]), np.stack([target, HOME])))
+
+
+def test_the_way_back_is_not_counted_through_walls():
+    robot = flown((19.0, 1.0))
+    behind = np.array([10.0, 9.0, 1.5])  # 8 m from the trail, in the other corridor
+    assert np.isinf(robot.return_time(behind))
+    wall(robot.map, (0.0, 2.0, 0.0), (20.0, 2.4, 3.0))
+    assert np.isinf(robot.return_time(np.array([10.0, 3.2, 1.5])))
+
+
+def test_visiting_two_places_takes_the_ways_between_them():
+    robot = flown((19.0, 1.0))
+    here = np.array([19.0, 1.0, 1.5])
+    there_and_back = robot.time_through(here, np.stack([HOME, here]))
+    assert there_and_back == pytest.approx(36.0, abs=1.5)
+    assert robot.time_through(here, HOME[None]) == pytest.approx(18.0, abs=1.0)
