@@ -14,7 +14,7 @@ from onboard.planning.local_graph import FloatArray, truncate
 from onboard.planning.plan import Plan, remaining_path
 from onboard.planning.startup import LOOK_AROUND
 from onboard.robot.monitor import Outlook, look_ahead
-from onboard.robot.progress import BackOff, Pacing, Watchdog
+from onboard.robot.progress import BackOff, Pacing, Retreats, Watchdog
 
 REVIEW_S = 0.5
 AHEAD_S = 0.3
@@ -46,6 +46,7 @@ class Motion:
         self._watchdog = Watchdog()
         self._pacing = Pacing()
         self._back_off = BackOff()
+        self._left = Retreats()
 
     def adopt(self, now_s: float, plan: Plan | None) -> None:
         """Follow this plan from now on; None or an empty one stops the robot."""
@@ -152,7 +153,9 @@ class Motion:
         # where going back did not help either, turning is what is left
         if np.linalg.norm(command.linear) > CREEPING_M_S or not self._back_off.useful(pose):
             return False
-        return not self._explorer.body.room_to_turn(self._explorer.map, pose.position)
+        if self._explorer.body.room_to_turn(self._explorer.map, pose.position):
+            return False
+        return self._left.again(pose.position)
 
     def _outlook(self, pose: Pose, plan: Plan) -> Outlook | None:
         """What the collision monitor says about the next metres, at every step; None: nobody asks it."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -22,6 +23,8 @@ BACK_OFF_SPEED_M_S = 0.3
 OTHER_WAY_RAD = 2.4
 OTHER_WAYS = 8
 FEEL_AFTER = 3
+RETREATS = 4
+RETREAT_M = 1.5
 PLACE_M = 2.0
 VISITS = 4
 VISITS_S = 120.0
@@ -145,6 +148,25 @@ class BackOff:
             self._target = None
             return None
         return Velocity(offset / distance * BACK_OFF_SPEED_M_S, 0.0)
+
+
+class Retreats:
+    """Counts how often a robot went back from a place where it could not turn.
+
+    Where going back leads to no better place, it would go to and fro for ever: after RETREATS of them within
+    RETREAT_M it has to turn after all.
+    """
+
+    def __init__(self) -> None:
+        self._places: deque[FloatArray] = deque(maxlen=2 * RETREATS)
+
+    def again(self, place: FloatArray) -> bool:
+        """Whether to go back once more from `place` (3,)."""
+        near = sum(float(np.linalg.norm(other - place)) <= RETREAT_M for other in self._places)
+        if near >= RETREATS:
+            return False
+        self._places.append(place.copy())
+        return True
 
 
 def _turned(offset: FloatArray, angle_rad: float) -> FloatArray:

@@ -9,7 +9,7 @@ from onboard.core.config import load_config
 from onboard.core.geometry import Pose
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.body import Body
-from onboard.robot.progress import BACK_OFF_M, FEEL_AFTER, BackOff
+from onboard.robot.progress import BACK_OFF_M, FEEL_AFTER, RETREAT_M, RETREATS, BackOff, Retreats
 
 TEAM = Path(__file__).parents[2] / "config" / "sim" / "team.toml"
 HERE = Pose.from_rpy(np.array([2.0, 1.0, 0.0]))
@@ -84,3 +84,15 @@ def test_what_seems_to_stand_inside_the_body_does_not_hold_it():
     voxel_map.assume_occupied(np.array([[0.1, 0.1, 0.7]]))
     body = Body(settings, 0.2)
     assert not body.sweep_blocked(voxel_map, Pose.from_rpy(np.zeros(3)), np.array([0.0, BACK_OFF_M, 0.0]))
+
+
+def test_a_robot_that_goes_to_and_fro_turns_after_all():
+    retreats = Retreats()
+    to_and_fro = [np.array([0.7 * (i % 2), 0.0, 0.0]) for i in range(RETREATS + 3)]
+    assert [retreats.again(place) for place in to_and_fro] == [True] * RETREATS + [False] * 3
+    assert retreats.again(np.array([RETREAT_M + 0.8, 0.0, 0.0]))
+
+
+def test_going_back_from_one_place_after_the_other_is_not_counted_together():
+    retreats = Retreats()
+    assert all(retreats.again(np.array([2.0 * i, 0.0, 0.0])) for i in range(30))
