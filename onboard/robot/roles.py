@@ -100,13 +100,17 @@ class Team:
         return [peer for peer in self.peer_ids if self.peer_phase(peer) not in (None, Phase.CARRIED)]
 
     def peer_goals(self, now_s: float) -> list[PeerGoal]:
-        """Places that peers are heading for or have won in the auction."""
+        """Places that peers are heading for and, in teams of more than two, have won in the auction.
+
+        Between two robots the goals are enough: what is claimed beyond them only keeps the other one away.
+        """
+        claimed = self.bidding.taken(now_s) if len(self.exploring_peers()) > 1 else []
         statuses = [self.link.peer_status(peer) for peer in self.peer_ids]
         return [
             PeerGoal(np.array(status.goal_m), max(0.0, now_s - status.stamp_s))
             for status in statuses
             if status is not None and status.goal_m is not None
-        ] + [PeerGoal(place) for place in self.bidding.taken(now_s)]
+        ] + [PeerGoal(place) for place in claimed]
 
     def others(self, now_s: float) -> list[tuple[FloatArray, float]]:
         """Body centres (3,) of peers in contact that walk or fly, and the distance to keep, in metres."""
