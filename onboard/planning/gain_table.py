@@ -88,9 +88,14 @@ def _add_once(queued: NDArray[np.bool_], found: Words, count: int, x: int, y: in
 
 
 @njit(cache=True, nogil=True)
-def affected(tables: PlanningTables, keys: Words, first: Words, low: Words, high: Words) -> Words:
-    """(N, 3) blocks inside the table that the map or the bounds' edges say something about."""
-    queued = np.zeros(TABLE_BLOCKS**3, np.bool_)
+def affected(
+    tables: PlanningTables, keys: Words, first: Words, low: Words, high: Words
+) -> tuple[Words, NDArray[np.bool_]]:
+    """(N, 3) blocks inside the table that the map or the bounds' edges say something about.
+
+    And whether each (N,) is or touches a block with something occupied.
+    """
+    queued, by_surface = np.zeros(TABLE_BLOCKS**3, np.bool_), np.zeros(TABLE_BLOCKS**3, np.bool_)
     found, count = np.empty((TABLE_BLOCKS**3, 3), np.int64), 0
     for i in range(keys.size):
         x, y, z = block_of_key(keys[i])
@@ -100,6 +105,7 @@ def affected(tables: PlanningTables, keys: Words, first: Words, low: Words, high
                 near_x, near_y, near_z = x + n % 3 - 1, y + (n // 3) % 3 - 1, z + n // 9 - 1
                 if _inside(near_x, near_y, near_z, first):
                     count = _add_once(queued, found, count, near_x, near_y, near_z)
+                    by_surface[table_place(near_x, near_y, near_z)] |= surface
     last = first + TABLE_BLOCKS - 1
     for axis in range(3):
         for edge in ((low[axis] >> 3), (high[axis] >> 3)):
@@ -109,7 +115,10 @@ def affected(tables: PlanningTables, keys: Words, first: Words, low: Words, high
                 for y in range(start[1], end[1] + 1):
                     for x in range(start[0], end[0] + 1):
                         count = _add_once(queued, found, count, x, y, z)
-    return found[:count]
+    near = np.empty(count, np.bool_)
+    for i in range(count):
+        near[i] = by_surface[table_place(found[i, 0], found[i, 1], found[i, 2])]
+    return found[:count], near
 
 
 @njit(cache=True, nogil=True)
@@ -166,6 +175,7 @@ def places_to_derive(
 def derive_blocks(
     tables: PlanningTables,
     blocks: Words,
+    near: NDArray[np.bool_],
     codes: NDArray[np.int32],
     rows: NDArray[np.int32],
     masks: Words,
@@ -175,7 +185,10 @@ def derive_blocks(
     high: Words,
     close_gaps: bool,
 ) -> tuple[Words, int]:
-    """Write codes and masks of these blocks (N, 3); keys of those that changed, rows in use."""
+    """Write codes and masks of these blocks (N, 3); keys of those that changed, rows in use.
+
+    near (N,): which blocks are by a surface, so that gaps may be closed there.
+    """
     layers, grown, inside = np.empty(10, np.int64), np.empty(8, np.int64), np.empty(8, np.int64)
     fresh, changed, count = np.empty(MASK_WORDS, np.int64), np.empty(blocks.shape[0], np.int64), 0
     for i in range(blocks.shape[0]):
@@ -184,7 +197,7 @@ def derive_blocks(
         slot = find_block(tables.keys, tables.slots, key)
         overlaps = clipped_bits(key, low, high, inside)
         grown[:] = 0
-        if close_gaps and overlaps:
+        if close_gaps and overlaps and near[i]:
             dilate_block(tables.keys, tables.slots, tables.occupied, (x, y, z), layers, grown)
         any_occupied, any_known, all_known = False, False, True
         for layer in range(BLOCK_EDGE):

@@ -101,16 +101,17 @@ class GainWindow:
         store, limits = self._map.store, self._limits
         clear(self._codes, self._uniform, first, limits.low, limits.high)
         keys, tables = store.block_keys[: store.count], self._map.planning_tables()
-        self._derive(tables, affected(tables, keys, first, limits.low, limits.high))
+        self._derive(tables, *affected(tables, keys, first, limits.low, limits.high))
 
     def _update(self, tables: PlanningTables, dirty: Words) -> Words:
         first = self._first
         if first is None:
             return np.asarray(with_neighbours(dirty))
         places, outside = places_to_derive(tables, dirty, first, self._codes, self._masks)
-        return np.concatenate([self._derive(tables, places), outside])
+        everywhere = np.ones(len(places), np.bool_)
+        return np.concatenate([self._derive(tables, places, everywhere), outside])
 
-    def _derive(self, tables: PlanningTables, places: Words) -> Words:
+    def _derive(self, tables: PlanningTables, places: Words, near: NDArray[np.bool_]) -> Words:
         """Compute these blocks (N, 3) again; keys of those that came out different."""
         needed = MASK_WORDS * (self._used + len(places))
         if needed > self._masks.size:
@@ -120,7 +121,7 @@ class GainWindow:
         limits = self._limits
         table = self._codes, self._rows, self._masks, self._uniform
         changed, self._used = derive_blocks(
-            tables, places, *table, self._used, limits.low, limits.high, limits.close_gaps
+            tables, places, near, *table, self._used, limits.low, limits.high, limits.close_gaps
         )
         spread(self._uniform, self._codes)
         return np.asarray(changed)
