@@ -60,11 +60,19 @@ class Refusals:
 
 def remaining_path(point: FloatArray, path: FloatArray) -> FloatArray:
     """The part of a path (M, 3) that lies ahead of the robot at `point`, starting with `point`."""
+    return np.concatenate([point[None], onward(point, path)[min(1, len(path) - 1) :]])
+
+
+def onward(point: FloatArray, path: FloatArray) -> FloatArray:
+    """A path (M, 3) without the legs before the one that is nearest to `point`.
+
+    A robot that keeps this of its path never takes up a leg again that it has left, which it would for ever
+    where a path crosses itself.
+    """
     if len(path) < 2:
-        return np.concatenate([point[None], path])
+        return path
     starts, legs = path[:-1], np.diff(path, axis=0)
     squared = np.maximum(np.einsum("ij,ij->i", legs, legs), 1e-12)
     along = np.clip(np.einsum("ij,ij->i", point - starts, legs) / squared, 0, 1)
     offsets = np.linalg.norm(starts + along[:, None] * legs - point, axis=1)
-    leg = int(len(offsets) - 1 - np.argmin(offsets[::-1]))
-    return np.concatenate([point[None], path[leg + 1 :]])
+    return path[len(offsets) - 1 - int(np.argmin(offsets[::-1])) :]

