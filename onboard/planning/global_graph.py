@@ -79,7 +79,7 @@ class GlobalGraph:
         node = nearest if distance < MERGE_M else self._add(point)
         if node != self._last:
             self.connect(self._last, node)
-            self.edges.ways[ordered(self._last, node)].walked = True
+            self.edges.walk(self._last, node)
         self._kept.add(node)
         if node != nearest:
             self._link(node, visible)

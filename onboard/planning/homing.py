@@ -12,13 +12,18 @@ from onboard.planning.local_graph import FloatArray
 FREE_TURN_RAD = 0.4
 """Turns up to this one are taken while moving."""
 
+UNTRIED = 0.25
+"""A way home that was seen but never gone may turn out to be closed: it counts as so much longer."""
 
-def times_over_graph(graph: GlobalGraph, sources: tuple[int, ...], settings: RobotSettings) -> FloatArray:
+
+def times_over_graph(
+    graph: GlobalGraph, sources: tuple[int, ...], settings: RobotSettings, untried: float = 0.0
+) -> FloatArray:
     """Seconds (N,) from each node to the nearest of `sources`, inf where there is no way.
 
     The sum over the cheapest way of length / speed, and of what its turns exceed FREE_TURN_RAD / yaw rate.
     Lengths are true lengths on slopes, so that climbing counts as slower than the same way on the map; ways
-    that look blocked count as longer.
+    that look blocked count as longer, and by the share `untried` those that the robot has not gone itself.
     """
     costs, following, _ = graph.tree(sources)
     after = np.where(following >= 0, following, np.arange(len(costs)))
@@ -28,8 +33,19 @@ def times_over_graph(graph: GlobalGraph, sources: tuple[int, ...], settings: Rob
         node = first if after[first] == second else second
         if after[node] in (first, second) and after[node] != node:
             lengths[node] = graph.edges.ways[first, second].travel_m
+    if untried:
+        lengths[~_tried(graph, after)] *= 1 + untried
     leg_s = lengths / settings.speed_m_s + _turns(points, after) / settings.yaw_rate_rad_s
     return np.where(np.isfinite(costs), _summed(leg_s, after), np.inf)
+
+
+def _tried(graph: GlobalGraph, after: NDArray[np.int64]) -> NDArray[np.bool_]:
+    """Whether the robot itself has gone from each node (N,) to its next one, or back."""
+    ends = graph.edges.walked()
+    first, second = np.concatenate([ends, ends[:, ::-1]]).T
+    tried = after == np.arange(len(after))
+    tried[first[after[first] == second]] = True
+    return tried
 
 
 def _turns(points: FloatArray, after: NDArray[np.int64]) -> FloatArray:

@@ -13,7 +13,7 @@ from onboard.planning.air_space import Area
 from onboard.planning.body import Body
 from onboard.planning.budget import Budget
 from onboard.planning.global_graph import LINK_M, GlobalGraph
-from onboard.planning.homing import times_over_graph
+from onboard.planning.homing import UNTRIED, times_over_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
 from onboard.planning.plan import NOTHING, Plan
 from onboard.planning.selection import travel_time
@@ -132,11 +132,12 @@ class Navigator:
         """
         assert self.graph is not None
         self.verify_ways()
-        offsets = np.linalg.norm(self.graph.points - target, axis=1)
         times = self.times_from_here(point)
-        arrival = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
-        if np.isfinite(arrival.min()):
-            return self.route_to(point, int(np.argmin(arrival)))
+        nodes, offsets_s = self._around_place(target, radius_m)
+        arrival = times[nodes] + offsets_s
+        if np.isfinite(arrival.min(initial=np.inf)):
+            return self.route_to(point, int(nodes[np.argmin(arrival)]))
+        offsets = np.linalg.norm(self.graph.points - target, axis=1)
         offsets[~np.isfinite(times)] = np.inf
         node, path = int(np.argmin(offsets)), None
         if offsets[node] < np.linalg.norm(target - point) - APPROACH_M:
@@ -156,11 +157,8 @@ class Navigator:
     def times_to(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> FloatArray:
         """Seconds (N,) of travel to reference points (N, 3) over the global graph, inf where it does not
         reach."""
-        assert self.graph is not None
         times = self.times_from_here(point)
-        offsets = np.linalg.norm(self.graph.points[None] - targets[:, None], axis=2)
-        near = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
-        return np.asarray(near.min(axis=1))
+        return np.array([self._arrival(times, target, radius_m) for target in targets])
 
     def time_through(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> float:
         """Seconds from the robot at a reference point (3,) through targets (K, 3), in this order."""
@@ -169,10 +167,27 @@ class Navigator:
         for start, end in pairwise(targets):
             node, _ = self.graph.nearest(start)
             times = times_over_graph(self.graph, (node,), self.settings)
-            offsets = np.linalg.norm(self.graph.points - end, axis=1)
-            near = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
-            total += float(near.min())
+            total += self._arrival(times, end, radius_m)
         return total
+
+    def _arrival(self, times: FloatArray, target: FloatArray, radius_m: float) -> float:
+        """Seconds to a place (3,) by way of the nodes, which take `times` (N,), inf without a node around."""
+        nodes, offsets_s = self._around_place(target, radius_m)
+        return float(np.min(times[nodes] + offsets_s, initial=np.inf))
+
+    def _around_place(self, target: FloatArray, radius_m: float) -> tuple[NDArray[np.int64], FloatArray]:
+        """Nodes (K,) within the radius of a place (3,), and the seconds (K,) from them to it.
+
+        Those behind a wall are left out, unless all of them look so: then somebody may stand there.
+        """
+        assert self.graph is not None
+        offsets = np.linalg.norm(self.graph.points - target, axis=1)
+        near = np.flatnonzero(offsets <= radius_m)
+        if len(near):
+            ends = np.repeat(target[None], len(near), axis=0)
+            free = near[~self.body.blocked(self.map, self.graph.points[near], ends)]
+            near = free if len(free) else near
+        return near, offsets[near] / self.settings.speed_m_s
 
     def times_from_here(self, point: FloatArray) -> FloatArray:
         """Seconds (N,) from the robot at a reference point (3,) to the nodes of the global graph."""
@@ -193,14 +208,14 @@ class Navigator:
         assert graph is not None
         if target is None:
             return np.zeros(len(graph.points))
-        offsets = np.linalg.norm(graph.points - target, axis=1)
-        homes = np.flatnonzero(offsets <= RETURN_RADIUS_M)
+        homes, offsets_s = self._around_place(target, RETURN_RADIUS_M)
         if len(homes) == 0:
             return np.full(len(graph.points), np.inf)
         sources = tuple(int(node) for node in homes)
-        last = graph.tree(sources)[2]
-        times = times_over_graph(graph, sources, self.settings)
-        return np.asarray(times + offsets[np.maximum(last, 0)] / self.settings.speed_m_s)
+        last_s = np.zeros(len(graph.points))
+        last_s[homes] = offsets_s
+        times = times_over_graph(graph, sources, self.settings, UNTRIED)
+        return np.asarray(times + last_s[np.maximum(graph.tree(sources)[2], 0)])
 
     def return_time(self, start: FloatArray) -> float:
         """Seconds from a reference point (3,) to the place to be back at, over the global graph.

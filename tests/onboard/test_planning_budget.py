@@ -8,11 +8,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.core.config import MapSettings
-from onboard.planning.budget import DOCKING_S, Budget
+from onboard.planning.budget import DOCKING_S, SLOWEST, Budget, Pace
 from onboard.planning.edges import SLOW
 from onboard.planning.explorer import Explorer
 from onboard.planning.global_graph import GlobalGraph
-from onboard.planning.homing import FREE_TURN_RAD, times_over_graph
+from onboard.planning.homing import FREE_TURN_RAD, UNTRIED, times_over_graph
 from onboard.planning.plan import Plan
 from tests.onboard.air_scenes import Corner, hollow, wall
 from tests.onboard.test_planning_deployment import FLYER
@@ -68,6 +68,40 @@ def test_times_are_those_of_the_ways_and_of_what_their_turns_exceed(corners):
         clear = np.minimum(lengths[1:], lengths[:-1]) >= 0.1
         extra = (np.maximum(turns - FREE_TURN_RAD, 0) * clear).sum()
         assert times[node] == pytest.approx(lengths.sum() / 1.0 + extra / FLYER.yaw_rate_rad_s, abs=1e-6)
+
+
+def test_a_way_back_that_was_never_gone_counts_as_longer():
+    points = np.array([(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (6.0, 0.0, 1.0)])
+    graph = GlobalGraph(points[0])
+    graph.visit(points[1], lambda start, end: True)
+    seen = graph._add(points[2])
+    graph.connect(1, seen)
+    assert times_over_graph(graph, (0,), FLYER, UNTRIED) == pytest.approx([0, 3, 6 + 3 * UNTRIED])
+    assert times_over_graph(graph, (2,), FLYER, UNTRIED) == pytest.approx([6 + 3 * UNTRIED, 3 + 3 * UNTRIED, 0])
+    graph.visit(points[2], lambda start, end: True)
+    assert times_over_graph(graph, (0,), FLYER, UNTRIED) == pytest.approx([0, 3, 6])
+
+
+@given(st.lists(st.tuples(st.floats(0.05, 2.0), st.floats(-1.0, 3.0)), max_size=300))
+def test_the_pace_is_a_factor_between_one_and_its_limit(steps):
+    pace = Pace()
+    for actual_s, nominal_s in steps:
+        pace.observe(actual_s, nominal_s)
+        assert 1.0 <= pace.ratio <= SLOWEST
+
+
+def test_the_pace_follows_what_the_robot_does_and_the_budget_follows_the_pace():
+    budget = Budget.of(FLYER, 1000.0)
+    before, longest = budget.needed(20.0, 50.0), budget.longest_way_s
+    for _ in range(3000):
+        budget.pace.observe(0.1, 0.08)
+    assert budget.pace.ratio == pytest.approx(1.25, abs=0.07)
+    margins = FLYER.planner.home_margin_s + DOCKING_S["aerial"]
+    assert budget.needed(20.0, 50.0) - margins == pytest.approx((before - margins) * budget.pace.ratio)
+    assert budget.longest_way_s == pytest.approx(longest / budget.pace.ratio)
+    for _ in range(3000):
+        budget.pace.observe(0.1, 0.1)
+    assert budget.pace.ratio == pytest.approx(1.0, abs=0.01)
 
 
 def flown(
@@ -142,6 +176,26 @@ def test_a_way_that_only_the_map_knew_is_no_way_when_it_is_blocked():
     robot.verify_ways()
     assert np.isinf(robot.times_to(np.array([5.0, 1.0, 1.5]), target[None])[0])
     assert np.isinf(robot.time_through(np.array([5.0, 1.0, 1.5]), np.stack([target, HOME])))
+
+
+HAIRPIN = (
+    ((0.0, 0.0, 0.0), (20.0, 2.0, 3.0)),
+    ((18.0, 0.0, 0.0), (20.0, 4.4, 3.0)),
+    ((0.0, 2.4, 0.0), (20.0, 4.4, 3.0)),
+)
+"""Two corridors with 0.4 m of rock between them, joined at their far end."""
+
+
+def test_a_place_next_to_home_behind_a_wall_is_as_far_as_the_way_around():
+    robot = flown((19.0, 1.0), (19.0, 3.4), (1.0, 3.4), rooms=HAIRPIN)
+    here = np.array([1.0, 3.4, 1.5])
+    assert np.linalg.norm(here - HOME) < 2.5
+    assert robot.return_time(here) > 36.0
+    assert robot.times_to(here, HOME[None], 2.5)[0] > 36.0
+    assert robot.time_through(here, np.stack([FAR * (1, 0, 1) + (0, 1, 0), HOME]), 2.5) > 36.0
+    plan = robot.go_to(here, HOME)
+    assert plan.path[:, 0].max() > 17.0
+    assert np.linalg.norm(plan.goal - HOME) < 2.0
 
 
 def test_the_way_back_is_not_counted_through_walls():
