@@ -43,7 +43,7 @@ def _tried(graph: GlobalGraph, after: NDArray[np.int64]) -> NDArray[np.bool_]:
     """Whether the robot itself has gone from each node (N,) to its next one, or back."""
     ends = graph.edges.walked()
     first, second = np.concatenate([ends, ends[:, ::-1]]).T
-    tried = after == np.arange(len(after))
+    tried = np.equal(after, np.arange(len(after)))
     tried[first[after[first] == second]] = True
     return tried
 

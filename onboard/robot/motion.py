@@ -14,7 +14,7 @@ from onboard.planning.local_graph import FloatArray, truncate
 from onboard.planning.plan import Plan, onward, remaining_path
 from onboard.planning.selection import travel_time
 from onboard.planning.startup import LOOK_AROUND
-from onboard.robot.monitor import Outlook, look_ahead
+from onboard.robot.monitor import Outlook, look_ahead, void_ahead
 from onboard.robot.progress import BackOff, Pacing, Retreats, Watchdog
 
 REVIEW_S = 0.5
@@ -64,7 +64,9 @@ class Motion:
             self._watchdog.idle()
         elif self._settings.kind == "ground":
             # the planner took it knowing the map (a trail that was walked): feel the way, do not wait
-            self._accepted_blocked = self._explorer.path_blocked(self.plan.path, GROUND_LOOK_M)
+            explorer, near = self._explorer, truncate(self.plan.path, GROUND_LOOK_M)
+            blocked = explorer.path_blocked(near, GROUND_LOOK_M)
+            self._accepted_blocked = blocked or void_ahead(self._settings, explorer.map, near)
 
     def due(self, now_s: float, pose: Pose) -> bool:
         """Whether it is time to plan."""

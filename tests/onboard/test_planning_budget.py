@@ -77,7 +77,9 @@ def test_a_way_back_that_was_never_gone_counts_as_longer():
     seen = graph._add(points[2])
     graph.connect(1, seen)
     assert times_over_graph(graph, (0,), FLYER, UNTRIED) == pytest.approx([0, 3, 6 + 3 * UNTRIED])
-    assert times_over_graph(graph, (2,), FLYER, UNTRIED) == pytest.approx([6 + 3 * UNTRIED, 3 + 3 * UNTRIED, 0])
+    assert times_over_graph(graph, (2,), FLYER, UNTRIED) == pytest.approx(
+        [6 + 3 * UNTRIED, 3 + 3 * UNTRIED, 0]
+    )
     graph.visit(points[2], lambda start, end: True)
     assert times_over_graph(graph, (0,), FLYER, UNTRIED) == pytest.approx([0, 3, 6])
 
