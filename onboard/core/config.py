@@ -75,7 +75,7 @@ class PlannerSettings(Section):
     horizon_m: Positive = 8.0
     replan_s: Positive = 4.0
     switch_gain: Annotated[float, Field(ge=1)] = 1.15
-    home_margin_s: NonNegative = 10.0
+    home_margin_s: NonNegative = 8.0
     home_margin_ratio: Ratio = 0.05
 
 

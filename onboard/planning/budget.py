@@ -9,7 +9,7 @@ import numpy as np
 from onboard.core.config import RobotSettings
 from onboard.planning.local_graph import FloatArray
 
-DOCKING_S = {"ground": 2.0, "aerial": 5.0}
+DOCKING_S = {"ground": 2.0, "aerial": 3.0}
 """To settle at the regrouping point: a flying robot brakes, and climbs a metre out of the other one's way."""
 
 
@@ -54,7 +54,7 @@ class Budget:
 
     remaining_s: float = np.inf
     back_to: FloatArray | None = None
-    margin_s: float = 10.0
+    margin_s: float = 8.0
     margin_ratio: float = 0.05
     docking_s: float = 0.0
     pace: Pace = field(default_factory=Pace)

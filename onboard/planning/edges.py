@@ -58,7 +58,6 @@ class Edges:
         self._keys: dict[Edge, list[int]] = {}
         self._in_block: dict[int, set[Edge]] = {}
         self._neighbours: dict[int, set[int]] = {}
-        self._walked: NDArray[np.int64] | None = None
 
     def neighbours(self, node: int) -> set[int]:
         """Nodes that a way leads to, blocked or not."""
@@ -77,22 +76,9 @@ class Edges:
             self._neighbours.setdefault(second, set()).add(first)
         return way
 
-    def walk(self, first: int, second: int) -> None:
-        """The robot itself went from one of these nodes to the other."""
-        self.ways[ordered(first, second)].walked = True
-        self._walked = None
-
-    def walked(self) -> NDArray[np.int64]:
-        """(K, 2) ends of the ways that the robot itself went."""
-        if self._walked is None:
-            ends = [edge for edge, way in self.ways.items() if way.walked]
-            self._walked = np.array(ends, np.int64).reshape(-1, 2)
-        return self._walked
-
     def remove(self, edge: Edge) -> None:
         """Forget a way."""
         del self.ways[edge]
-        self._walked = None
         for key in self._keys.pop(edge):
             self._in_block[key].discard(edge)
             if not self._in_block[key]:

@@ -40,6 +40,8 @@ class GlobalGraph:
     def __init__(self, home: FloatArray, block_m: float = 1.6, reach_m: float = 0.6) -> None:
         """`block_m`: edge of a map block; `reach_m`: farthest that the body reaches from its way's line."""
         self.edges = Edges(block_m, reach_m)
+        self.revision = 0
+        """Grows with every change of a node or of what an edge costs."""
         self._points = np.full((64, 3), np.inf)
         self._points[0] = home
         self._count = 1
@@ -79,7 +81,7 @@ class GlobalGraph:
         node = nearest if distance < MERGE_M else self._add(point)
         if node != self._last:
             self.connect(self._last, node)
-            self.edges.walk(self._last, node)
+            self.edges.ways[ordered(self._last, node)].walked = True
         self._kept.add(node)
         if node != nearest:
             self._link(node, visible)
@@ -226,5 +228,6 @@ class GlobalGraph:
         return self._matrix
 
     def _changed(self) -> None:
+        self.revision += 1
         self._matrix = None
         self._trees.clear()

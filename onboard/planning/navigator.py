@@ -13,7 +13,7 @@ from onboard.planning.air_space import Area
 from onboard.planning.body import Body
 from onboard.planning.budget import Budget
 from onboard.planning.global_graph import LINK_M, GlobalGraph
-from onboard.planning.homing import UNTRIED, times_over_graph
+from onboard.planning.homing import caution, times_over_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
 from onboard.planning.plan import NOTHING, Plan
 from onboard.planning.selection import travel_time
@@ -47,6 +47,7 @@ class Navigator:
         """Whether the last route leads over ways that the map now shows as blocked, or does not exist."""
         self._rng = np.random.default_rng([seed, settings.id])
         self._verified = 0
+        self._returns: tuple[tuple[object, ...], FloatArray] | None = None
         self._heading_from: FloatArray | None = None
 
     def begin(self, point: FloatArray, heading_rad: float) -> None:
@@ -208,13 +209,19 @@ class Navigator:
         assert graph is not None
         if target is None:
             return np.zeros(len(graph.points))
+        state = (self.map.version, graph.revision, len(self.trail), target.tobytes())
+        if self._returns is None or self._returns[0] != state:
+            self._returns = state, self._times_back(graph, target)
+        return self._returns[1]
+
+    def _times_back(self, graph: GlobalGraph, target: FloatArray) -> FloatArray:
         homes, offsets_s = self._around_place(target, RETURN_RADIUS_M)
         if len(homes) == 0:
             return np.full(len(graph.points), np.inf)
         sources = tuple(int(node) for node in homes)
         last_s = np.zeros(len(graph.points))
         last_s[homes] = offsets_s
-        times = times_over_graph(graph, sources, self.settings, UNTRIED)
+        times = times_over_graph(graph, sources, self.settings, caution(graph.points, self.trail))
         return np.asarray(times + last_s[np.maximum(graph.tree(sources)[2], 0)])
 
     def return_time(self, start: FloatArray) -> float:

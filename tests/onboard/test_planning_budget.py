@@ -12,7 +12,7 @@ from onboard.planning.budget import DOCKING_S, SLOWEST, Budget, Pace
 from onboard.planning.edges import SLOW
 from onboard.planning.explorer import Explorer
 from onboard.planning.global_graph import GlobalGraph
-from onboard.planning.homing import FREE_TURN_RAD, UNTRIED, times_over_graph
+from onboard.planning.homing import FREE_TURN_RAD, TRIED_M, UNTRIED, caution, times_over_graph
 from onboard.planning.plan import Plan
 from tests.onboard.air_scenes import Corner, hollow, wall
 from tests.onboard.test_planning_deployment import FLYER
@@ -71,17 +71,25 @@ def test_times_are_those_of_the_ways_and_of_what_their_turns_exceed(corners):
 
 
 def test_a_way_back_that_was_never_gone_counts_as_longer():
-    points = np.array([(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (6.0, 0.0, 1.0)])
+    points = np.array([(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (6.0, 0.0, 1.0), (np.inf,) * 3])
+    trail = [points[0], points[1] - (1.5 * TRIED_M, 0, 0), points[1]]
+    factors = caution(points, trail)
+    assert factors == pytest.approx([1, 1, 1 + UNTRIED, 1])
     graph = GlobalGraph(points[0])
-    graph.visit(points[1], lambda start, end: True)
-    seen = graph._add(points[2])
-    graph.connect(1, seen)
-    assert times_over_graph(graph, (0,), FLYER, UNTRIED) == pytest.approx([0, 3, 6 + 3 * UNTRIED])
-    assert times_over_graph(graph, (2,), FLYER, UNTRIED) == pytest.approx(
-        [6 + 3 * UNTRIED, 3 + 3 * UNTRIED, 0]
-    )
-    graph.visit(points[2], lambda start, end: True)
-    assert times_over_graph(graph, (0,), FLYER, UNTRIED) == pytest.approx([0, 3, 6])
+    for before, point in enumerate(points[1:3]):
+        graph.connect(before, graph._add(point))
+    assert times_over_graph(graph, (0,), FLYER, factors[:3]) == pytest.approx([0, 3, 6 + 3 * UNTRIED])
+
+
+def test_times_back_follow_the_trail_and_the_graph():
+    robot = flown((19.0, 1.0))
+    here = np.array([19.0, 1.0, 1.5])
+    node = robot.graph.add_path(np.array([here, (19.0, 9.0, 1.5)]), robot.visible)
+    assert robot.return_times()[node] == pytest.approx(18.0 + 8.0 * (1 + UNTRIED), abs=3.0)
+    careful_s = robot.return_times()[node]
+    for y in np.arange(1.0, 9.1, 0.3):
+        robot.observe(np.array([19.0, y, 1.5]))
+    assert robot.return_times()[node] == pytest.approx(careful_s - 8.0 * UNTRIED, abs=1.0)
 
 
 @given(st.lists(st.tuples(st.floats(0.05, 2.0), st.floats(-1.0, 3.0)), max_size=300))
