@@ -69,7 +69,7 @@ class PlannerSettings(Section):
     gain_range_m: Positive = 20.0
     gain_vertices: Annotated[int, Field(ge=5, le=2000)] = 150
     occlusion_rate_per_m: NonNegative = 0.4
-    direction_weight: NonNegative = 1.0
+    direction_weight: NonNegative = 2.0
     start_up_s: Positive = 3.0
     frontier_m3: Positive = 1.5
     horizon_m: Positive = 8.0

@@ -8,9 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.config import MapSettings, RobotSettings
-from onboard.mapping.voxel_map import FREE, VoxelMap
+from onboard.mapping.voxel_map import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from onboard.planning.air_space import Area
-from onboard.planning.body import Body
+from onboard.planning.body import Body, Statuses
 from onboard.planning.budget import Budget
 from onboard.planning.global_graph import LINK_M, GlobalGraph
 from onboard.planning.homing import caution, times_over_graph
@@ -22,7 +22,7 @@ from onboard.planning.worth import SEEN_M
 RETURN_RADIUS_M = 3.0
 BLOCK_VOXELS = 8
 APPROACH_M = 1.0
-JOINED = 8
+JOINED = 12
 TRIED_BEHIND = 4
 
 
@@ -176,19 +176,27 @@ class Navigator:
         nodes, offsets_s = self._around_place(target, radius_m)
         return float(np.min(times[nodes] + offsets_s, initial=np.inf))
 
-    def _around_place(self, target: FloatArray, radius_m: float) -> tuple[NDArray[np.int64], FloatArray]:
-        """Nodes (K,) within the radius of a place (3,), and the seconds (K,) from them to it.
+    def _around_place(self, place: FloatArray, radius_m: float) -> tuple[NDArray[np.int64], FloatArray]:
+        """The nearest nodes (K,) within the radius of a place (3,), and the seconds (K,) from them to it.
 
-        Those behind a wall are left out, unless all of them look so: then somebody may stand there.
+        Those are left out between which and the place something stands or nothing is known, as long as there
+        are others: next to home, behind a floor that was never seen, is another storey.
         """
+        near, offsets_s, status = self._joining(place, radius_m)
+        for allowed in (status == FREE, status != OCCUPIED):
+            if allowed.any():
+                return near[allowed], offsets_s[allowed]
+        return near, offsets_s
+
+    def _joining(self, place: FloatArray, radius_m: float) -> tuple[NDArray[np.int64], FloatArray, Statuses]:
+        """The nearest nodes (K,) within the radius, seconds (K,) to the place (3,), status between (K,)."""
         assert self.graph is not None
-        offsets = np.linalg.norm(self.graph.points - target, axis=1)
-        near = np.flatnonzero(offsets <= radius_m)
-        if len(near):
-            ends = np.repeat(target[None], len(near), axis=0)
-            free = near[~self.body.blocked(self.map, self.graph.points[near], ends)]
-            near = free if len(free) else near
-        return near, offsets[near] / self.settings.speed_m_s
+        offsets = np.linalg.norm(self.graph.points - place, axis=1)
+        near = np.argsort(offsets, kind="stable")[:JOINED]
+        near = near[offsets[near] <= radius_m]
+        ends = np.repeat(place[None], len(near), axis=0)
+        status = self.body.way_status(self.map, self.graph.points[near], ends)
+        return near, offsets[near] / self.settings.speed_m_s, status
 
     def times_from_here(self, point: FloatArray) -> FloatArray:
         """Seconds (N,) from the robot at a reference point (3,) to the nodes of the global graph."""
@@ -227,21 +235,19 @@ class Navigator:
     def return_time(self, start: FloatArray) -> float:
         """Seconds from a reference point (3,) to the place to be back at, over the global graph.
 
-        The point is joined to the nodes around it to which nothing known is in the way; inf without any.
+        The point is joined to the nodes around it that nothing stands before, if there are such to those
+        that only known free space lies before; inf without any.
         """
         if self.budget.back_to is None:
             return 0.0
         assert self.graph is not None
-        times = self.return_times()
-        offsets = np.linalg.norm(self.graph.points - start, axis=1)
-        near = np.argsort(offsets, kind="stable")[:JOINED]
-        near = near[offsets[near] <= LINK_M]
-        starts = np.repeat(start[None], len(near), axis=0)
-        free = near[~self.body.blocked(self.map, starts, self.graph.points[near])]
-        reached = times[free] + offsets[free] / self.settings.speed_m_s
-        here = self.graph.here
-        if offsets[here] <= LINK_M:  # the robot has just come from there
-            reached = np.append(reached, times[here] + offsets[here] / self.settings.speed_m_s)
+        times, here = self.return_times(), self.graph.here
+        near, offsets_s, status = self._joining(start, LINK_M)
+        sure = status == (FREE if (status == FREE).any() else UNKNOWN)
+        reached = (times[near] + offsets_s)[sure]
+        offset_m = float(np.linalg.norm(self.graph.points[here] - start))
+        if offset_m <= LINK_M:  # the robot has just come from there
+            reached = np.append(reached, times[here] + offset_m / self.settings.speed_m_s)
         return float(np.min(reached, initial=np.inf))
 
     def affordable(self, plan: Plan) -> bool:

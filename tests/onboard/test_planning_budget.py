@@ -14,7 +14,7 @@ from onboard.planning.explorer import Explorer
 from onboard.planning.global_graph import GlobalGraph
 from onboard.planning.homing import FREE_TURN_RAD, TRIED_M, UNTRIED, caution, times_over_graph
 from onboard.planning.plan import Plan
-from tests.onboard.air_scenes import Corner, hollow, wall
+from tests.onboard.air_scenes import Corner, hollow, unsurfaced, wall
 from tests.onboard.test_planning_deployment import FLYER
 
 seconds = st.floats(0, 1e4)
@@ -206,6 +206,24 @@ def test_a_place_next_to_home_behind_a_wall_is_as_far_as_the_way_around():
     plan = robot.go_to(here, HOME)
     assert plan.path[:, 0].max() > 17.0
     assert np.linalg.norm(plan.goal - HOME) < 2.0
+
+
+def test_a_place_above_home_is_far_when_nothing_is_known_between():
+    storeys = (
+        ((0.0, 0.0, 0.0), (20.0, 2.0, 3.0)),
+        ((18.0, 0.0, 0.0), (20.0, 2.0, 6.4)),
+        ((0.0, 0.0, 3.4), (20.0, 2.0, 6.4)),
+    )
+    robot = flown((19.0, 1.0), rooms=storeys)
+    robot.map = unsurfaced(*storeys)
+    for step in (
+        *((19.0, z) for z in np.arange(1.5, 4.1, 0.3)),
+        *((x, 4.0) for x in np.arange(19.0, 1.0, -0.3)),
+    ):
+        robot.observe(np.array([step[0], 1.0, step[1]]))
+    here = np.array([1.0, 1.0, 4.0])
+    assert np.linalg.norm(here - HOME) < 2.6
+    assert robot.return_time(here) > 36.0
 
 
 def test_the_way_back_is_not_counted_through_walls():
