@@ -102,9 +102,12 @@ class Body:
         """Whether an occupied voxel lies in the body's way (N,) from (N, 3) to (N, 3)."""
         return np.asarray(self.way_status(voxel_map, starts, ends) == OCCUPIED)
 
-    def way_status(self, voxel_map: VoxelMap, starts: FloatArray, ends: FloatArray) -> Statuses:
-        """Worst status (N,) that the body meets on straight ways from (N, 3) to (N, 3)."""
-        return voxel_map.segment_status(starts + self.box_centre, ends + self.box_centre, self.half_extent)
+    def way_status(
+        self, voxel_map: VoxelMap, starts: FloatArray, ends: FloatArray, room_m: float = 0.0
+    ) -> Statuses:
+        """Worst status (N,) within `room_m` of the body on straight ways from (N, 3) to (N, 3)."""
+        half = self.half_extent + room_m
+        return voxel_map.segment_status(starts + self.box_centre, ends + self.box_centre, half)
 
 
 def _circle(radius_m: float, height_m: float) -> FloatArray:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from onboard.core.config import RobotSettings
 from onboard.planning.global_graph import GlobalGraph
@@ -13,42 +12,29 @@ from onboard.planning.local_graph import FloatArray
 FREE_TURN_RAD = 0.4
 """Turns up to this one are taken while moving."""
 
-UNTRIED = 0.1
-"""A way home that was seen but never gone may turn out to be closed: it counts as so much longer."""
-TRIED_M = 1.5
-"""What is so close to the robot's trail was gone."""
-
 
 def times_over_graph(
-    graph: GlobalGraph, sources: tuple[int, ...], settings: RobotSettings, slow: FloatArray | None = None
+    graph: GlobalGraph, sources: tuple[int, ...], settings: RobotSettings, cautious: bool = False
 ) -> FloatArray:
     """Seconds (N,) from each node to the nearest of `sources`, inf where there is no way.
 
     The sum over the cheapest way of length / speed, and of what its turns exceed FREE_TURN_RAD / yaw rate.
     Lengths are true lengths on slopes, so that climbing counts as slower than the same way on the map; ways
-    that look blocked count as longer, and those from each node by the factor `slow` (N,).
+    that look blocked count as longer, and if `cautious` those that the robot has only seen, see `edges`.
     """
-    costs, following, _ = graph.tree(sources)
+    costs, following, _ = graph.tree(sources, cautious)
     after = np.where(following >= 0, following, np.arange(len(costs)))
     points = np.where(np.isfinite(graph.points), graph.points, 0.0)
     lengths = np.linalg.norm(points[after] - points, axis=1)
+    if cautious:
+        reached = np.flatnonzero(np.isfinite(costs))
+        lengths[reached] = costs[reached] - costs[after[reached]]
     for first, second in graph.edges.blocked():
         node = first if after[first] == second else second
         if after[node] in (first, second) and after[node] != node:
             lengths[node] = graph.edges.ways[first, second].travel_m
-    if slow is not None:
-        lengths *= slow
     leg_s = lengths / settings.speed_m_s + _turns(points, after) / settings.yaw_rate_rad_s
     return np.where(np.isfinite(costs), _summed(leg_s, after), np.inf)
-
-
-def caution(points: FloatArray, trail: list[FloatArray]) -> FloatArray:
-    """Factor (N,) on ways home from nodes (N, 3): 1 along the robot's trail, 1 + UNTRIED away from it."""
-    known = np.isfinite(points).all(axis=1)
-    factor = np.ones(len(points))
-    gaps, _ = cKDTree(np.stack(trail)).query(points[known])
-    factor[known] += UNTRIED * (gaps > TRIED_M)
-    return factor
 
 
 def _turns(points: FloatArray, after: NDArray[np.int64]) -> FloatArray:

@@ -13,13 +13,15 @@ from onboard.planning.air_space import Area
 from onboard.planning.body import Body, Statuses
 from onboard.planning.budget import Budget
 from onboard.planning.global_graph import LINK_M, GlobalGraph
-from onboard.planning.homing import caution, times_over_graph
+from onboard.planning.homing import times_over_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
 from onboard.planning.plan import NOTHING, Plan
 from onboard.planning.selection import travel_time
 from onboard.planning.worth import SEEN_M
 
 RETURN_RADIUS_M = 3.0
+ROOM_M = 0.25
+"""Room to every side of a body by which a way is not narrow."""
 BLOCK_VOXELS = 8
 APPROACH_M = 1.0
 JOINED = 12
@@ -75,7 +77,12 @@ class Navigator:
         assert self.graph is not None
         changed = self.map.changed_since(self._verified).tolist()
         self._verified = self.map.version
-        return self.graph.verify(changed, lambda starts, ends: self.body.blocked(self.map, starts, ends))
+        body, voxel_map = self.body, self.map
+        return self.graph.verify(
+            changed,
+            lambda starts, ends: body.blocked(voxel_map, starts, ends),
+            lambda starts, ends: body.way_status(voxel_map, starts, ends, ROOM_M) != FREE,
+        )
 
     def route_to(self, point: FloatArray, target: int) -> FloatArray | None:
         """(M, 3) way from the robot over the global graph to a node, None where there is none.
@@ -217,7 +224,7 @@ class Navigator:
         assert graph is not None
         if target is None:
             return np.zeros(len(graph.points))
-        state = (self.map.version, graph.revision, len(self.trail), target.tobytes())
+        state = (self.map.version, graph.revision, target.tobytes())
         if self._returns is None or self._returns[0] != state:
             self._returns = state, self._times_back(graph, target)
         return self._returns[1]
@@ -229,14 +236,13 @@ class Navigator:
         sources = tuple(int(node) for node in homes)
         last_s = np.zeros(len(graph.points))
         last_s[homes] = offsets_s
-        times = times_over_graph(graph, sources, self.settings, caution(graph.points, self.trail))
-        return np.asarray(times + last_s[np.maximum(graph.tree(sources)[2], 0)])
+        times = times_over_graph(graph, sources, self.settings, cautious=True)
+        return np.asarray(times + last_s[np.maximum(graph.tree(sources, cautious=True)[2], 0)])
 
     def return_time(self, start: FloatArray) -> float:
         """Seconds from a reference point (3,) to the place to be back at, over the global graph.
 
-        The point is joined to the nodes around it that nothing stands before, if there are such to those
-        that only known free space lies before; inf without any.
+        The point is joined to nodes around it through what is free, else what is unknown; else inf.
         """
         if self.budget.back_to is None:
             return 0.0

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from onboard.core.config import MapSettings
 from onboard.planning.budget import DOCKING_S, SLOWEST, Budget, Pace
-from onboard.planning.edges import SLOW
+from onboard.planning.edges import NARROW_M, SLOW, UNTRIED
 from onboard.planning.explorer import Explorer
 from onboard.planning.global_graph import GlobalGraph
-from onboard.planning.homing import FREE_TURN_RAD, TRIED_M, UNTRIED, caution, times_over_graph
+from onboard.planning.homing import FREE_TURN_RAD, times_over_graph
 from onboard.planning.plan import Plan
 from tests.onboard.air_scenes import Corner, hollow, unsurfaced, wall
 from tests.onboard.test_planning_deployment import FLYER
@@ -70,26 +70,27 @@ def test_times_are_those_of_the_ways_and_of_what_their_turns_exceed(corners):
         assert times[node] == pytest.approx(lengths.sum() / 1.0 + extra / FLYER.yaw_rate_rad_s, abs=1e-6)
 
 
-def test_a_way_back_that_was_never_gone_counts_as_longer():
-    points = np.array([(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (6.0, 0.0, 1.0), (np.inf,) * 3])
-    trail = [points[0], points[1] - (1.5 * TRIED_M, 0, 0), points[1]]
-    factors = caution(points, trail)
-    assert factors == pytest.approx([1, 1, 1 + UNTRIED, 1])
+def test_a_way_back_that_was_never_gone_counts_as_longer_and_a_gap_as_much_longer():
+    points = np.array([(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (6.0, 0.0, 1.0), (9.0, 0.0, 1.0)])
     graph = GlobalGraph(points[0])
-    for before, point in enumerate(points[1:3]):
+    graph.visit(points[1], lambda start, end: True)
+    for before, point in enumerate(points[2:], start=1):
         graph.connect(before, graph._add(point))
-    assert times_over_graph(graph, (0,), FLYER, factors[:3]) == pytest.approx([0, 3, 6 + 3 * UNTRIED])
+    graph.verify([], lambda a, b: np.zeros(len(a), bool), lambda a, b: b[:, 0] > 8)
+    sure, gap = 3 + 3 * UNTRIED, 3 + 6 * UNTRIED + NARROW_M
+    assert times_over_graph(graph, (0,), FLYER, cautious=True) == pytest.approx([0, 3, sure, gap])
+    assert times_over_graph(graph, (0,), FLYER) == pytest.approx([0, 3, 6, 9])
 
 
-def test_times_back_follow_the_trail_and_the_graph():
-    robot = flown((19.0, 1.0))
-    here = np.array([19.0, 1.0, 1.5])
-    node = robot.graph.add_path(np.array([here, (19.0, 9.0, 1.5)]), robot.visible)
-    assert robot.return_times()[node] == pytest.approx(18.0 + 8.0 * (1 + UNTRIED), abs=3.0)
-    careful_s = robot.return_times()[node]
-    for y in np.arange(1.0, 9.1, 0.3):
-        robot.observe(np.array([19.0, y, 1.5]))
-    assert robot.return_times()[node] == pytest.approx(careful_s - 8.0 * UNTRIED, abs=1.0)
+def test_the_way_home_is_counted_by_the_trail_where_only_a_gap_is_shorter():
+    robot = flown((19.0, 1.0), (19.0, 9.0), (10.0, 9.0))
+    here = np.array([10.0, 9.0, 1.5])
+    around_s = robot.return_time(here)
+    robot.map.assume_free((9.7, 1.8, 1.3), (10.3, 8.2, 1.7))  # a slit that just lets the body through
+    shaft = np.array([(10.0, 9.0, 1.5), (10.0, 1.0, 1.5)])
+    robot.graph.join(shaft, robot.graph.nearest(shaft[1])[0], lambda a, b: True)
+    robot.verify_ways()
+    assert robot.return_time(here) == pytest.approx(around_s, abs=0.5)
 
 
 @given(st.lists(st.tuples(st.floats(0.05, 2.0), st.floats(-1.0, 3.0)), max_size=300))
