@@ -25,8 +25,6 @@ SLOW = 4.0
 """Such a way takes so many times longer, feeling the way past what is there."""
 UNTRIED = 1.1
 """A way that was seen but not gone counts as so many times longer when time must not run out on it."""
-NARROW_M = 10.0
-"""And as so much longer where there is hardly room: gaps that were seen from afar are often none."""
 
 
 @dataclass(slots=True)
@@ -50,10 +48,10 @@ class Way:
 
     @property
     def cautious_m(self) -> float:
-        """The cost for a robot that has to get there in time."""
+        """The cost for a robot that has to get there in time: gaps that were seen from afar are often none."""
         if self.walked or self.blocked:
             return self.cost_m
-        return UNTRIED * self.length_m + NARROW_M * self.narrow
+        return np.inf if self.narrow else UNTRIED * self.length_m
 
     @property
     def travel_m(self) -> float:

@@ -115,8 +115,7 @@ class Navigator:
         return None
 
     def go_to(self, point: FloatArray, target: FloatArray, radius_m: float = 2.0) -> Plan:
-        """Plan to a reference point (3,): straight through the local graph when it reaches, else over the
-        global graph."""
+        """Plan to a reference point (3,): through the local graph when it reaches, else the global one."""
         assert self.graph is not None
         self.local = self.body.graph(self.map, point, self._rng, np.asarray(target)[None])
         self.observe(point)
@@ -154,8 +153,7 @@ class Navigator:
         return path
 
     def stop_short(self, plan: Plan, distance_m: float) -> Plan:
-        """The plan without its last metres and, where there is room, with a climb of a metre at its new
-        end."""
+        """The plan without its last metres and, where there is room, a climb of a metre at its new end."""
         path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
         above = path[-1] + np.array([0.0, 0.0, 1.0])
         if self.visible(path[-1], above):
@@ -163,8 +161,7 @@ class Navigator:
         return Plan(path, plan.kind, time_s=plan.time_s)
 
     def times_to(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> FloatArray:
-        """Seconds (N,) of travel to reference points (N, 3) over the global graph, inf where it does not
-        reach."""
+        """Seconds (N,) to reference points (N, 3) over the global graph, inf where it does not reach."""
         times = self.times_from_here(point)
         return np.array([self._arrival(times, target, radius_m) for target in targets])
 
@@ -179,7 +176,7 @@ class Navigator:
         return total
 
     def _arrival(self, times: FloatArray, target: FloatArray, radius_m: float) -> float:
-        """Seconds to a place (3,) by way of the nodes, which take `times` (N,), inf without a node around."""
+        """Seconds to a place (3,) by way of nodes that take `times` (N,), inf without any around."""
         nodes, offsets_s = self._around_place(target, radius_m)
         return float(np.min(times[nodes] + offsets_s, initial=np.inf))
 
@@ -228,6 +225,11 @@ class Navigator:
         if self._returns is None or self._returns[0] != state:
             self._returns = state, self._times_back(graph, target)
         return self._returns[1]
+
+    def back_times(self, point: FloatArray) -> FloatArray:
+        """Seconds (N,) home from the nodes of the global graph for a robot that sets out from `point` (3,):
+        on, or back by the way that it came."""
+        return np.minimum(self.return_times(), self.times_from_here(point) + self.return_time(point))
 
     def _times_back(self, graph: GlobalGraph, target: FloatArray) -> FloatArray:
         homes, offsets_s = self._around_place(target, RETURN_RADIUS_M)
