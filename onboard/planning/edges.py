@@ -48,7 +48,7 @@ class Way:
 
     @property
     def cautious_m(self) -> float:
-        """The cost for a robot that has to get there in time: gaps that were seen from afar are often none."""
+        """The cost for a robot that must get there in time: gaps that were seen from afar are often none."""
         if self.walked or self.blocked:
             return self.cost_m
         return np.inf if self.narrow else UNTRIED * self.length_m

@@ -172,9 +172,9 @@ class GlobalGraph:
             self._trees[sources, cautious] = costs, following, nearest
         return self._trees[sources, cautious]
 
-    def route(self, source: int, target: int) -> list[int]:
-        """Nodes of the shortest route from source to target, empty if there is none."""
-        following = self.tree((source,))[1]
+    def route(self, source: int, target: int, cautious: bool = False) -> list[int]:
+        """Nodes of the cheapest route from source to target, empty if there is none."""
+        following = self.tree((source,), cautious)[1]
         if source != target and following[target] < 0:
             return []
         chain = [target]

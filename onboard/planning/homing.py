@@ -1,4 +1,4 @@
-"""Travel times over the global graph, with the time that turns take."""
+"""Travel times over the global graph, with the time that turns take, and ways past what blocks a route."""
 
 from __future__ import annotations
 
@@ -7,10 +7,12 @@ from numpy.typing import NDArray
 
 from onboard.core.config import RobotSettings
 from onboard.planning.global_graph import GlobalGraph
-from onboard.planning.local_graph import FloatArray
+from onboard.planning.local_graph import FloatArray, LocalGraph
 
 FREE_TURN_RAD = 0.4
 """Turns up to this one are taken while moving."""
+TRIED_BEHIND = 4
+"""Nodes behind a blocked leg to which a local way is looked for."""
 
 
 def times_over_graph(
@@ -35,6 +37,16 @@ def times_over_graph(
             lengths[node] = graph.edges.ways[first, second].travel_m
     leg_s = lengths / settings.speed_m_s + _turns(points, after) / settings.yaw_rate_rad_s
     return np.where(np.isfinite(costs), _summed(leg_s, after), np.inf)
+
+
+def past_what_blocks(graph: GlobalGraph, local: LocalGraph, nodes: list[int]) -> FloatArray | None:
+    """(M, 3) way on from what blocks a route of nodes, where the local graph reaches a place behind it."""
+    legs = [leg for leg in range(len(nodes) - 1) if graph.looks_blocked(nodes[leg : leg + 2])]
+    for behind in range(legs[-1] + 1, min(legs[-1] + 1 + TRIED_BEHIND, len(nodes))):
+        near = local.reach(graph.points[nodes[behind]], 0.5)
+        if near is not None:
+            return np.concatenate([near, graph.points[nodes[behind + 1 :]]])
+    return None
 
 
 def _turns(points: FloatArray, after: NDArray[np.int64]) -> FloatArray:

@@ -13,7 +13,7 @@ from onboard.planning.air_space import Area
 from onboard.planning.body import Body, Statuses
 from onboard.planning.budget import Budget
 from onboard.planning.global_graph import LINK_M, GlobalGraph
-from onboard.planning.homing import times_over_graph
+from onboard.planning.homing import past_what_blocks, times_over_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
 from onboard.planning.plan import NOTHING, Plan
 from onboard.planning.selection import travel_time
@@ -25,7 +25,6 @@ ROOM_M = 0.25
 BLOCK_VOXELS = 8
 APPROACH_M = 1.0
 JOINED = 12
-TRIED_BEHIND = 4
 
 
 class Navigator:
@@ -84,35 +83,23 @@ class Navigator:
             lambda starts, ends: body.way_status(voxel_map, starts, ends, ROOM_M) != FREE,
         )
 
-    def route_to(self, point: FloatArray, target: int) -> FloatArray | None:
+    def route_to(self, point: FloatArray, target: int, cautious: bool = False) -> FloatArray | None:
         """(M, 3) way from the robot over the global graph to a node, None where there is none.
 
         Blocked ways are avoided; where that is impossible, those that the robot once walked are taken.
+        `cautious`: gaps that it has only seen, too.
         """
         graph = self.graph
         assert graph is not None
         self.verify_ways()
-        nodes = graph.route(graph.here, target)
+        nodes = graph.route(graph.here, target, cautious)
         self.way_blocked = not nodes or graph.looks_blocked(nodes)
-        if self.way_blocked and nodes:
-            around = self._around(nodes)
+        if self.way_blocked and nodes and self.local is not None:
+            around = past_what_blocks(graph, self.local, nodes)
             if around is not None:
+                self.way_blocked = False
                 return self._start_at(point, around)
         return self._join(point, graph.points[nodes]) if nodes else None
-
-    def _around(self, nodes: list[int]) -> FloatArray | None:
-        """Way past what blocks a route, where the local graph reaches a place behind it; else None."""
-        graph = self.graph
-        assert graph is not None
-        if self.local is None:
-            return None
-        legs = [leg for leg in range(len(nodes) - 1) if graph.looks_blocked(nodes[leg : leg + 2])]
-        for behind in range(legs[-1] + 1, min(legs[-1] + 1 + TRIED_BEHIND, len(nodes))):
-            near = self.local.reach(graph.points[nodes[behind]], 0.5)
-            if near is not None:
-                self.way_blocked = False
-                return np.concatenate([near, graph.points[nodes[behind + 1 :]]])
-        return None
 
     def go_to(self, point: FloatArray, target: FloatArray, radius_m: float = 2.0) -> Plan:
         """Plan to a reference point (3,): through the local graph when it reaches, else the global one."""
@@ -139,14 +126,20 @@ class Navigator:
         """
         assert self.graph is not None
         self.verify_ways()
-        times = self.times_from_here(point)
         nodes, offsets_s = self._around_place(target, radius_m)
-        arrival = times[nodes] + offsets_s
-        if np.isfinite(arrival.min(initial=np.inf)):
-            return self.route_to(point, int(nodes[np.argmin(arrival)]))
+        path = None
+        for cautious in (True, False):
+            times = self.times_from_here(point, cautious)
+            arrival = times[nodes] + offsets_s
+            if np.isfinite(arrival.min(initial=np.inf)):
+                path = self.route_to(point, int(nodes[np.argmin(arrival)]), cautious)
+                if not self.way_blocked:
+                    break
+        if path is not None:
+            return path
         offsets = np.linalg.norm(self.graph.points - target, axis=1)
         offsets[~np.isfinite(times)] = np.inf
-        node, path = int(np.argmin(offsets)), None
+        node = int(np.argmin(offsets))
         if offsets[node] < np.linalg.norm(target - point) - APPROACH_M:
             path = self.route_to(point, node)
         self.way_blocked = True
@@ -202,12 +195,12 @@ class Navigator:
         status = self.body.way_status(self.map, self.graph.points[near], ends)
         return near, offsets[near] / self.settings.speed_m_s, status
 
-    def times_from_here(self, point: FloatArray) -> FloatArray:
+    def times_from_here(self, point: FloatArray, cautious: bool = False) -> FloatArray:
         """Seconds (N,) from the robot at a reference point (3,) to the nodes of the global graph."""
         graph = self.graph
         assert graph is not None
         to_graph = float(np.linalg.norm(point - graph.points[graph.here]))
-        times = times_over_graph(graph, (graph.here,), self.settings)
+        times = times_over_graph(graph, (graph.here,), self.settings, cautious)
         return np.asarray(times + to_graph / self.settings.speed_m_s)
 
     def times_between(self, nodes: NDArray[np.int64]) -> FloatArray:
