@@ -12,6 +12,7 @@ from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.mission import Facts, Phase, next_phase
 from onboard.planning.air_space import Area
+from onboard.planning.cycle import TOO_LATE
 from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity
@@ -181,7 +182,9 @@ class RobotCore:
             return {}
         if facts.must_return:
             return {"reason": "time to return"}
-        return {"reason": "nothing left to explore", "left_m3": self.explorer.left}
+        left = self.explorer.left
+        reason = "no time for what is left to explore" if TOO_LATE in left else "nothing left to explore"
+        return {"reason": reason, "left_m3": left}
 
     def _must_go(self, now_s: float, pose: Pose) -> bool:
         """Once a second: does the way back need all the time that is left?"""
