@@ -119,7 +119,8 @@ class Navigator:
         return Plan(path, "route", time_s=travel_time(path, self.settings.speed_m_s))
 
     def _over_graph(self, point: FloatArray, target: FloatArray, radius_m: float) -> FloatArray | None:
-        """Way to the node within the radius from which the target is reached soonest.
+        """Way to the node within the radius from which the target is reached soonest; through gaps that the
+        robot has only seen where all else is blocked or takes too long.
 
         Without any: to the node nearest to it, if that brings the robot nearer; there it holds and looks
         again.
@@ -131,7 +132,8 @@ class Navigator:
         for cautious in (True, False):
             times = self.times_from_here(point, cautious)
             arrival = times[nodes] + offsets_s
-            if np.isfinite(arrival.min(initial=np.inf)):
+            soonest_s = float(arrival.min(initial=np.inf))
+            if np.isfinite(soonest_s) and not (cautious and self.budget.too_late(soonest_s)):
                 path = self.route_to(point, int(nodes[np.argmin(arrival)]), cautious)
                 if not self.way_blocked:
                     break

@@ -91,6 +91,9 @@ def test_the_way_home_is_counted_by_the_trail_where_only_a_gap_is_shorter():
     robot.graph.join(shaft, robot.graph.nearest(shaft[1])[0], lambda a, b: True)
     robot.verify_ways()
     assert robot.return_time(here) == pytest.approx(around_s, abs=0.5)
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    robot.budget.remaining_s = around_s - 5.0  # too late for the way around: what is left is the slit
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() < 12.0
 
 
 @given(st.lists(st.tuples(st.floats(0.05, 2.0), st.floats(-1.0, 3.0)), max_size=300))
