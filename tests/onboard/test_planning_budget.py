@@ -83,12 +83,12 @@ def test_a_way_back_that_was_never_gone_counts_as_longer_and_a_gap_not_at_all():
 
 
 def test_the_way_home_is_counted_by_the_trail_where_only_a_gap_is_shorter():
-    robot = flown((19.0, 1.0), (19.0, 9.0), (10.0, 9.0))
-    here = np.array([10.0, 9.0, 1.5])
+    slit = ((10.8, 1.8, 1.2), (11.6, 8.2, 1.8))  # which just lets the body through
+    robot = flown((19.0, 1.0), (19.0, 9.0), (11.2, 9.0), rooms=(*RING, slit))
+    here = robot.graph.points[robot.graph.here].copy()
     around_s = robot.return_time(here)
-    robot.map.assume_free((9.7, 1.8, 1.3), (10.3, 8.2, 1.7))  # a slit that just lets the body through
-    shaft = np.array([(10.0, 9.0, 1.5), (10.0, 1.0, 1.5)])
-    robot.graph.join(shaft, robot.graph.nearest(shaft[1])[0], lambda a, b: True)
+    shaft = np.array([here, (here[0], 1.4, 1.5)])
+    robot.graph.join(shaft, robot.graph.nearest(np.array([here[0], 1.0, 1.5]))[0], lambda a, b: True)
     robot.verify_ways()
     assert robot.return_time(here) == pytest.approx(around_s, abs=0.5)
     assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
