@@ -15,8 +15,8 @@ DRIFT_SPAN_S = 10.0
 """Device time to look back on before a drift is believed."""
 DRIFT_MAX = 3e-4
 """Two crystals differ by less than 300 parts per million."""
-EARLY_S, YOUNG_EARLY_S = 0.02, 1.0
-"""How much earlier than foreseen a packet may arrive: the first packets may all have been held up."""
+EARLY_S, YOUNG_EARLY_S, YOUNG_S = 0.02, 0.2, 1.0
+"""How much earlier than foreseen a packet may arrive; in the first second all may have been held up."""
 LATE_S = 1.0
 """A packet later than this bears another clock."""
 STEP_S, STEP_BINS = 0.05, 3
@@ -42,6 +42,7 @@ class ClockMap:
         self._bins: deque[tuple[float, float]] = deque(maxlen=WINDOW_BINS)
         self._bin_end_s = -float("inf")
         self._offset_s: float | None = None
+        self._previous_s = 0.0
         self._drift = 0.0
         self._reference_s = 0.0
         self._first_s = 0.0
@@ -80,17 +81,19 @@ class ClockMap:
             self._begin(device_s, offset_s)
             return "ok"
         excess_s = offset_s - self._offset(device_s)
-        early_s = EARLY_S if device_s - self._first_s > 10 * BIN_S else YOUNG_EARLY_S
+        early_s = EARLY_S if device_s - self._first_s > YOUNG_S else YOUNG_EARLY_S
         if not -early_s < excess_s < LATE_S:
             return self._suspect(device_s, offset_s)
         self._suspects.clear()
-        if excess_s < 0:
-            self._offset_s += excess_s
-        return self._sort_in(device_s, offset_s)
+        # one damaged stamp must not pull the line down for a minute: two in a row have to agree
+        steady_s, self._previous_s = max(offset_s, self._previous_s), offset_s
+        self._offset_s = min(self._offset_s, self._offset_s + steady_s - self._offset(device_s))
+        return self._sort_in(device_s, steady_s)
 
     def _begin(self, device_s: float, offset_s: float) -> None:
         self._start()
-        self._offset_s, self._reference_s, self._first_s = offset_s, device_s, device_s
+        self._offset_s, self._previous_s = offset_s, offset_s
+        self._reference_s = self._first_s = device_s
         self._bin_end_s = device_s + BIN_S
         self._bins.append((device_s, offset_s))
 

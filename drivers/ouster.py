@@ -24,9 +24,12 @@ from onboard.core.lidar import OS0_64, LidarModel
 from onboard.core.view_mask import ViewMask
 
 PENDING_PACKETS = 3
-"""A newer frame takes over when so many of its packets are in: one with a damaged number never does."""
+"""A newer frame takes over when so many of its packets are in, and a frame of fewer is none: damaged numbers
+do not agree."""
 REMEMBERED_FRAMES = 8
 """Packets of the last frames that come after all are late ones, not a new frame."""
+PACKET_SPAN_S = 0.1
+"""No packet spans more than a turn."""
 FRAMES_SKIPPED_MAX = 600
 """A minute: a larger step of the frame number does not come from lost packets."""
 RESTART_PACKETS = 3
@@ -97,6 +100,9 @@ class OusterDecoder:
         if not valid.any():
             self.counters.packets += 1
             return []
+        if np.ptp(stamps_s[valid]) > PACKET_SPAN_S:
+            self.counters.damaged += 1
+            return []
         outputs: list[Output] = []
         if self._packets.is_restarted(packet):
             self._strangers += 1
@@ -166,6 +172,9 @@ class OusterDecoder:
 
     def _finish(self, frame: _Frame | None) -> list[Output]:
         if frame is None:
+            return []
+        if frame.packets < min(PENDING_PACKETS, self._expected):
+            self.counters.damaged += frame.packets
             return []
         gap = (frame.number - self._done[-1]) % self._packets.frame_numbers if self._done else 1
         skipped = gap - 1 if 0 < gap < FRAMES_SKIPPED_MAX else 0

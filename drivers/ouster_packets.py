@@ -49,8 +49,9 @@ class OusterPackets:
         if len(packet) != sizes.lidar_packet_size:
             return (
                 f"a packet of {len(packet)} bytes; by its metadata ({self._profile}, {self._info.h} beams) "
-                f"the sensor sends {sizes.lidar_packet_size} (LiDAR) or {sizes.imu_packet_size} (IMU): fetch the "
-                "metadata anew, set the sensor's UDP profile back, or set sensor_host if another device sends"
+                f"the sensor sends {sizes.lidar_packet_size} (LiDAR) or {sizes.imu_packet_size} (IMU): fetch "
+                "the metadata anew, set the sensor's UDP profile back, or set sensor_host if another device "
+                "sends to this port"
             )
         serial = 0 if self._legacy else int(sizes.prod_sn(packet))
         if serial and self._info.sn and serial != self._info.sn and self._checksum_right(packet):
@@ -65,11 +66,9 @@ class OusterPackets:
         stored = self._format.crc(packet)
         if stored is None:
             return True
-        if stored == self._format.calculate_crc(packet):
-            self._has_checksum = True
-        elif self._has_checksum:
-            return False
-        return True
+        right = bool(stored == self._format.calculate_crc(packet))
+        self._has_checksum |= right
+        return right or not self._has_checksum
 
     def is_imu(self, packet: Bytes) -> bool:
         return len(packet) == self._format.imu_packet_size
@@ -123,10 +122,12 @@ class OusterPackets:
             stamps_ns = np.array([reader.gyro_ts()], dtype=np.uint64)
         else:
             stamps_ns = np.asarray(reader.timestamp())
-        acceleration = np.asarray(reader.accel(), dtype=np.float64) @ self._imu_rotation.T
-        rate = np.asarray(reader.gyro(), dtype=np.float64) @ self._imu_rotation.T
-        possible = np.isfinite(acceleration).all(axis=1) & np.isfinite(rate).all(axis=1) & (stamps_ns > 0)
-        possible &= (np.abs(acceleration) < ACCELERATION_MAX_M_S2).all(axis=1)
-        possible &= (np.abs(rate) < RATE_MAX_RAD_S).all(axis=1)
-        stamps_s = stamps_ns.astype(np.float64) * NANOSECOND_S
-        return [(float(stamps_s[i]), acceleration[i], rate[i]) for i in np.flatnonzero(possible)]
+        acceleration = np.asarray(reader.accel(), dtype=np.float64)
+        rate = np.asarray(reader.gyro(), dtype=np.float64)
+        possible = (np.abs(acceleration) < ACCELERATION_MAX_M_S2).all(axis=1)  # false for NaN too
+        possible &= (np.abs(rate) < RATE_MAX_RAD_S).all(axis=1) & (stamps_ns > 0)
+        turn = self._imu_rotation
+        return [
+            (float(stamps_ns[i]) * NANOSECOND_S, turn @ acceleration[i], turn @ rate[i])
+            for i in np.flatnonzero(possible)
+        ]

@@ -18,7 +18,6 @@ from drivers.velodyne_packets import (
     PacketHead,
     Segment,
     beams_of,
-    is_sound,
     read_head,
     refusal,
     segments,
@@ -31,6 +30,8 @@ REAR_DEG = 180.0
 """Where sweeps are cut: behind, on the sensor's own scale of azimuth."""
 SWEEP_MAX_S = 0.35
 """The slowest setting, 300 rpm, takes 0.2 s; a rotor that hardly turns must not fill the memory."""
+CHANGE_PACKETS = 3
+"""So many packets in a row with another return mode mean a new setting, fewer are damage."""
 BACKWARDS_DEG = 1.0
 """Azimuths tremble by hundredths of a degree; a phase that falls by more has passed the cut."""
 THERMAL_BYTE = 0xCB
@@ -75,6 +76,7 @@ class VelodyneDecoder:
         self._last_s: float | None = None
         self._last_phase_deg = 0.0
         self._limited = False
+        self._strays = 0
 
     def feed(self, payload: bytes, host_s: float) -> list[Output]:
         """Take one payload of the data or position port."""
@@ -87,7 +89,7 @@ class VelodyneDecoder:
             self.counters.refused += 1
             return [*self._reporter.event(host_s, "refused", problem)]
         head = read_head(payload)
-        parts = segments(payload, head.azimuths) if is_sound(payload) else []
+        parts = segments(payload, head.azimuths) if head.sound else []
         if not parts:
             self.counters.damaged += 1
             return []
@@ -96,33 +98,43 @@ class VelodyneDecoder:
     def _time(self, parts: list[Segment], head: PacketHead, host_s: float) -> list[Output]:
         """Unwrap the stamp, learn the clocks' relation, count what is missing."""
         beams = beams_of(head.product, head.dual)
-        since_hour_s = head.time_us * 1e-6
-        hours = round((self.clock.device_s(host_s) - since_hour_s) / HOUR_S)
-        device_s = since_hour_s + HOUR_S * hours
+        device_s = self._unwrapped(head.time_us * 1e-6, host_s)
         verdict = self.clock.add(device_s + beams.packet_s, host_s)
-        if verdict == "suspect":
+        if verdict == "suspect" or self._is_stray_mode(head):
             self.counters.damaged += 1
             return []
-        outputs: list[Output] = []
-        if verdict == "jump" or head.dual != self._dual:
-            if self._parts:
-                text = "the sensor's clock jumped or its return mode changed: it was restarted or set anew"
-                outputs += self._reporter.event(host_s, "restart", text)
-            self._reset()
-            self._dual = head.dual
-        self._product = head.product
-        if self._last_s is not None:
-            gap_s = device_s - self._last_s
-            if gap_s < beams.packet_s / 2:
-                self.counters.late += 1
-                return outputs
-            if not self._limited:
-                self.counters.lost += max(0, round(gap_s / beams.packet_s) - 1)
+        outputs = self._restart(host_s) if verdict == "jump" or head.dual != self._dual else []
+        self._dual, self._product = head.dual, head.product
+        gap_s = beams.packet_s if self._last_s is None else device_s - self._last_s
+        if gap_s < beams.packet_s / 2:
+            self.counters.late += 1
+            return outputs
+        if not self._limited:
+            self.counters.lost += max(0, round(gap_s / beams.packet_s) - 1)
         self.counters.packets += 1
         for part in parts:
             outputs += self._collect(part, beams, device_s)
         self._last_s, self._limited = device_s, len(parts) > 1
         return outputs
+
+    def _unwrapped(self, since_hour_s: float, host_s: float) -> float:
+        """The stamp, which begins anew every hour, in the hour that the host's clock tells."""
+        hours = round((self.clock.device_s(host_s) - since_hour_s) / HOUR_S)
+        return since_hour_s + HOUR_S * hours
+
+    def _is_stray_mode(self, head: PacketHead) -> bool:
+        """Whether the packet alone bears another return mode: three in a row mean a new setting."""
+        other = head.dual != self._dual and bool(self._parts)
+        self._strays = self._strays + 1 if other else 0
+        return 0 < self._strays < CHANGE_PACKETS
+
+    def _restart(self, host_s: float) -> list[Output]:
+        known = bool(self._parts)
+        self._reset()
+        if not known:
+            return []
+        text = "the sensor's clock jumped or its return mode changed: it was restarted or set anew"
+        return [*self._reporter.event(host_s, "restart", text)]
 
     def _collect(self, part: Segment, beams: Beams, device_s: float) -> list[Output]:
         """Add the firings to the sweep, or to the old and the new one."""
@@ -148,9 +160,10 @@ class VelodyneDecoder:
 
     def _cut_at(self, phases_deg: NDArray[np.float64], rate_deg_s: float, device_s: float) -> int | None:
         """Which firing is the first of a new sweep: the phase wraps, or too much is missing to tell."""
-        falls = np.flatnonzero(np.diff(phases_deg, prepend=self._last_phase_deg) < -BACKWARDS_DEG)
-        if len(falls):
-            return int(falls[0])
+        if phases_deg[0] < self._last_phase_deg - BACKWARDS_DEG:
+            return 0
+        if phases_deg[-1] < phases_deg[0] - BACKWARDS_DEG:
+            return int(np.argmax(np.diff(phases_deg) < -BACKWARDS_DEG)) + 1
         gap_s = 0.0 if self._last_s is None else device_s - self._last_s
         return 0 if rate_deg_s * gap_s > 360.0 or self._too_long(device_s) else None
 

@@ -16,6 +16,8 @@ POSITION_BYTES = 512
 BLOCKS, BLOCK_BYTES = 12, 100
 BLOCK_HEADER = b"\xff\xee"
 HOUR_S = 3600.0
+TIME_END_US = 3_600_500_000
+"""Stamps begin anew every hour; a little later is a sensor whose hour is set by its own clock."""
 TURN = 36000
 """A revolution in the packet's unit of azimuth, hundredths of a degree clockwise."""
 BLOCK_STEP_MAX, PACKET_STEP_MAX = 500, 2000
@@ -28,36 +30,37 @@ VLP_16_PRODUCT = 0x22
 UNREADABLE = {0x23: "VLP-32A or B", 0x31: "Velarray", 0xA1: "VLS-128"}
 """Products whose packets have another layout."""
 
-_AZIMUTHS = struct.Struct("<" + "2xH96x" * BLOCKS)
+_BLOCK_HEADS = struct.Struct("<" + "HH96x" * BLOCKS)
+_BLOCK_FLAGS = (0xEEFF,) * BLOCKS
 _TAIL = struct.Struct("<IBB")
 _PROBE_UNITS = 60_000
 
 
 @dataclass(frozen=True, slots=True)
 class PacketHead:
-    """A data packet without its returns: block azimuths (12,) in 0.01 deg, microseconds since the hour."""
+    """A data packet without its returns: block azimuths (12,) in 0.01 deg, microseconds since the hour.
+
+    `sound`: whether block headers, return mode and time can be.
+    """
 
     azimuths: tuple[int, ...]
     time_us: int
     dual: bool
     product: int
+    sound: bool
 
 
 def read_head(payload: bytes) -> PacketHead:
-    """The head of a packet of the right length; contents are not checked."""
+    """The head of a packet of the right length."""
     time_us, mode, product = _TAIL.unpack_from(payload, PACKET_BYTES - _TAIL.size)
-    return PacketHead(_AZIMUTHS.unpack_from(payload), time_us, mode == DUAL, product)
+    heads = _BLOCK_HEADS.unpack_from(payload)
+    sound = heads[::2] == _BLOCK_FLAGS and mode in RETURN_MODES and time_us < TIME_END_US
+    return PacketHead(heads[1::2], time_us, mode == DUAL, product, sound)
 
 
 def is_data_packet(payload: bytes) -> bool:
     """Whether these are the bytes of one Velodyne data packet: length, block headers, factory bytes."""
-    return len(payload) == PACKET_BYTES and payload[-1] in PRODUCTS and is_sound(payload)
-
-
-def is_sound(payload: bytes) -> bool:
-    """Whether block headers, return mode and time of a packet of the right length can be."""
-    heads = all(payload[i * BLOCK_BYTES :][:2] == BLOCK_HEADER for i in range(BLOCKS))
-    return heads and payload[-2] in RETURN_MODES and _TAIL.unpack_from(payload, 1200)[0] < 3_600_500_000
+    return len(payload) == PACKET_BYTES and payload[-1] in PRODUCTS and read_head(payload).sound
 
 
 class Segment(NamedTuple):
