@@ -31,7 +31,9 @@ REAR_DEG = 180.0
 SWEEP_MAX_S = 0.35
 """The slowest setting, 300 rpm, takes 0.2 s; a rotor that hardly turns must not fill the memory."""
 CHANGE_PACKETS = 3
-"""So many packets in a row with another return mode mean a new setting, fewer are damage."""
+"""So many packets in a row with another return mode or direction are believed, fewer are damage."""
+ASTRAY_DEG, FORESEEN_S = 20.0, 0.1
+"""A sensor does not look so far from where its speed says, unless too much time went by to tell."""
 BACKWARDS_DEG = 1.0
 """Azimuths tremble by hundredths of a degree; a phase that falls by more has passed the cut."""
 THERMAL_BYTE = 0xCB
@@ -74,6 +76,7 @@ class VelodyneDecoder:
         self._parts: list[Firings] = []
         self._dual = False
         self._last_s: float | None = None
+        self._last_azimuth_deg = 0.0
         self._last_phase_deg = 0.0
         self._limited = False
         self._strays = 0
@@ -100,10 +103,12 @@ class VelodyneDecoder:
         beams = beams_of(head.product, head.dual)
         device_s = self._unwrapped(head.time_us * 1e-6, host_s)
         verdict = self.clock.add(device_s + beams.packet_s, host_s)
-        if verdict == "suspect" or self._is_stray_mode(head):
+        outputs = self._restart(host_s) if verdict == "jump" else []
+        if verdict == "suspect" or self._is_stray(head, device_s):
             self.counters.damaged += 1
             return []
-        outputs = self._restart(host_s) if verdict == "jump" or head.dual != self._dual else []
+        if head.dual != self._dual:
+            outputs += self._restart(host_s)
         self._dual, self._product = head.dual, head.product
         gap_s = beams.packet_s if self._last_s is None else device_s - self._last_s
         if gap_s < beams.packet_s / 2:
@@ -114,7 +119,8 @@ class VelodyneDecoder:
         self.counters.packets += 1
         for part in parts:
             outputs += self._collect(part, beams, device_s)
-        self._last_s, self._limited = device_s, len(parts) > 1
+        self._last_s, self._last_azimuth_deg = device_s, head.azimuths[0] * 0.01
+        self._limited = len(parts) > 1
         return outputs
 
     def _unwrapped(self, since_hour_s: float, host_s: float) -> float:
@@ -122,9 +128,14 @@ class VelodyneDecoder:
         hours = round((self.clock.device_s(host_s) - since_hour_s) / HOUR_S)
         return since_hour_s + HOUR_S * hours
 
-    def _is_stray_mode(self, head: PacketHead) -> bool:
-        """Whether the packet alone bears another return mode: three in a row mean a new setting."""
-        other = head.dual != self._dual and bool(self._parts)
+    def _is_stray(self, head: PacketHead, device_s: float) -> bool:
+        """Whether the packet alone tells another return mode or direction than those before it."""
+        other = False
+        if self._parts and self._last_s is not None:
+            gap_s = device_s - self._last_s
+            turned_deg = head.azimuths[0] * 0.01 - self._last_azimuth_deg - self._parts[-1].rate_deg_s * gap_s
+            astray = abs((turned_deg + 180.0) % 360.0 - 180.0) > ASTRAY_DEG
+            other = head.dual != self._dual or (astray and gap_s < FORESEEN_S and not self._limited)
         self._strays = self._strays + 1 if other else 0
         return 0 < self._strays < CHANGE_PACKETS
 
