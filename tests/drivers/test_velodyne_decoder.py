@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import struct
 
 import numpy as np
@@ -45,15 +46,12 @@ def test_ranges_come_back_where_they_were_cast() -> None:
 def test_points_lie_along_the_rays_of_their_pixels() -> None:
     decoder = VelodyneDecoder(VLP_16_PRODUCT)
     scan = scans([*feed(decoder, turns(1), AHEAD_S), *decoder.finish()])[0]
-    assert scan.image is not None
-    ends = scan.image.points()
-    order = np.lexsort(np.round(np.arctan2(ends[:, 1], ends[:, 0]), 3)[None])
-    lengths = np.sort(np.linalg.norm(ends, axis=1))
-    np.testing.assert_allclose(np.sort(np.linalg.norm(scan.points, axis=1)), lengths, atol=1e-4)
-    assert len(order) == len(scan.points)
-    azimuth = np.arctan2(scan.points[:, 1], scan.points[:, 0])
-    column = (azimuth + np.pi) / (2 * np.pi) * 1800 - 0.5
-    assert np.abs(column - np.round(column)).max() < 0.4
+    lengths = np.linalg.norm(scan.points, axis=1)
+    column = (np.arctan2(scan.points[:, 1], scan.points[:, 0]) + np.pi) / (2 * np.pi) * 1800
+    elevation = np.rad2deg(np.arcsin(scan.points[:, 2] / lengths))
+    row = np.round((15 - elevation) / 2).astype(int)
+    assert np.abs(column - np.floor(column) - 0.5).max() < 0.4
+    np.testing.assert_array_equal(image_of(scan)[row, np.floor(column).astype(int)], lengths)
 
 
 def test_a_scan_comes_with_the_packet_that_crosses_the_cut() -> None:
@@ -143,8 +141,7 @@ def test_strangers_are_refused_with_what_came_and_what_to_set(payload: bytes, me
     decoder = VelodyneDecoder(VLP_16_PRODUCT)
     told = events(decoder.feed(payload, 1.0))
     assert [event.kind for event in told] == ["refused"]
-    with pytest.raises(AssertionError, match=message):
-        raise AssertionError(told[0].text)
+    assert re.search(message, told[0].text)
     assert not decoder.feed(payload, 1.1)
     assert decoder.counters.refused == 2
 
