@@ -91,7 +91,7 @@ def open_live(settings: LidarSettings, clock: Clock) -> LiveLidar:
     model, mask = lidar_model(settings.model), ViewMask(settings.masks)
     decoder: Decoder
     if settings.model == "vlp-16":
-        decoder = VelodyneDecoder(VLP_16_PRODUCT, model=model, mask=mask)
+        decoder = VelodyneDecoder(VLP_16_PRODUCT, model=model, mask=mask, calibration=link.calibration)
     else:
         decoder = OusterDecoder(load_metadata(link.metadata, link.sensor_host), model, mask)
     sockets: list[UdpSocket] = []

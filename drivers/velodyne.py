@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,8 @@ from drivers.velodyne_packets import (
     PacketHead,
     Segment,
     beams_of,
+    decoded,
+    decoder_of,
     read_head,
     refusal,
     segments,
@@ -48,7 +51,7 @@ class VelodyneDecoder:
 
     `product` is the factory byte that is expected (None: that of the first packet), `cut_deg` the sensor's
     azimuth at which sweeps begin (None: where the first packet begins). Faults of the position packets (port
-    8308), if fed too, go with every scan.
+    8308), if fed too, go with every scan. Raises InputError for a `calibration` file that is none.
     """
 
     def __init__(
@@ -57,11 +60,10 @@ class VelodyneDecoder:
         cut_deg: float | None = REAR_DEG,
         model: LidarModel = VLP_16,
         mask: ViewMask | None = None,
+        calibration: Path | None = None,
     ) -> None:
-        import velodyne_decoder as library  # noqa: PLC0415  # an extra: the station may do without
-
-        self._packet_class = library.VelodynePacket
-        self._decoder = library.ScanDecoder(library.Config(min_range=0.0, max_range=1000.0))
+        self._decoder = decoder_of(calibration)
+        self._calibration = calibration
         self.counters = Counters()
         self.clock = ClockMap()
         self._reporter = Reporter()
@@ -100,7 +102,7 @@ class VelodyneDecoder:
 
     def _time(self, parts: list[Segment], head: PacketHead, host_s: float) -> list[Output]:
         """Unwrap the stamp, learn the clocks' relation, count what is missing."""
-        beams = beams_of(head.product, head.dual)
+        beams = beams_of(head.product, head.dual, self._calibration)
         device_s = self._unwrapped(head.time_us * 1e-6, host_s)
         verdict = self.clock.add(device_s + beams.packet_s, host_s)
         outputs = self._restart(host_s) if verdict == "jump" else []
@@ -157,7 +159,7 @@ class VelodyneDecoder:
         count = len(beams.times_s)
         first, end = part.first * count // BLOCKS, part.end * count // BLOCKS
         phases = (azimuth_deg - self._cut_deg + rate * beams.times_s[:, 0]) % 360.0
-        cloud = self._decoder.decode([self._packet_class(stamp_s, part.payload)])[1]
+        cloud = decoded(self._decoder, part.payload)
         cut = self._cut_at(phases[first:end], rate, stamp_s)
         self._last_phase_deg = float(phases[end - 1])
         if cut is None or not self._parts:
@@ -185,7 +187,7 @@ class VelodyneDecoder:
         """The sweep collected so far."""
         if not self._parts or self._product is None or self._cut_deg is None:
             return []
-        beams = beams_of(self._product, self._dual)
+        beams = beams_of(self._product, self._dual, self._calibration)
         scan = sweep_scan(self._parts, beams, self._cut_deg, self._model)
         self._parts = []
         self.counters.scans += 1

@@ -6,10 +6,13 @@ import struct
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from onboard.core.errors import InputError
 
 PACKET_BYTES = 1206
 POSITION_BYTES = 512
@@ -161,15 +164,35 @@ class Beams:
         return (azimuths[-1] - azimuths[0]) % TURN * 0.01 / elapsed_s
 
 
-@lru_cache(maxsize=16)
-def beams_of(product: int, dual: bool) -> Beams:
-    """The beams of a product: what velodyne-decoder makes of a packet whose every pulse met something."""
-    import velodyne_decoder  # noqa: PLC0415  # an extra: the station may do without
+def decoder_of(calibration: Path | None) -> Any:
+    """A decoder of single packets that keeps every return; with nominal angles unless there is a calibration.
 
+    Raises InputError for a file that is none.
+    """
+    import velodyne_decoder as library  # noqa: PLC0415  # an extra: the station may do without
+
+    options: dict[str, Any] = {"min_range": 0.0, "max_range": 1000.0}
+    if calibration is not None:
+        try:
+            options["calibration"] = library.Calibration.read(str(calibration))
+        except (RuntimeError, ValueError) as error:
+            raise InputError(f"{calibration}: not a calibration of a Velodyne ({error})") from error
+    return library.ScanDecoder(library.Config(**options))
+
+
+def decoded(decoder: Any, payload: bytes) -> NDArray[np.float32]:
+    """(N, 8) x, y, z, intensity, seconds since the packet's stamp, firing, ring, kind of return."""
+    import velodyne_decoder as library  # noqa: PLC0415
+
+    return np.asarray(decoder.decode([library.VelodynePacket(0.0, payload)])[1])
+
+
+@lru_cache(maxsize=16)
+def beams_of(product: int, dual: bool, calibration: Path | None = None) -> Beams:
+    """The beams of a product: what velodyne-decoder makes of a packet whose every pulse met something."""
     block = BLOCK_HEADER + struct.pack("<H", 0) + struct.pack("<HB", _PROBE_UNITS, 0) * 32
     payload = block * BLOCKS + _TAIL.pack(0, DUAL if dual else STRONGEST, product)
-    decoder = velodyne_decoder.ScanDecoder(velodyne_decoder.Config(min_range=0.0, max_range=1000.0))
-    cloud = decoder.decode([velodyne_decoder.VelodynePacket(0.0, payload)])[1].astype(np.float64)
+    cloud = decoded(decoder_of(calibration), payload).astype(np.float64)
     firing, ring = cloud[:, 5].astype(np.int64), cloud[:, 6].astype(np.int64)
     count = int(ring.max()) + 1
     times_s = np.zeros((int(firing.max()) + 1, count))

@@ -38,6 +38,8 @@ class LidarLink(Section):
     """The sensor's address: packets of others are ignored, and an Ouster is asked for its metadata."""
     metadata: Path | None = None
     """The Ouster's metadata file; without it the sensor is asked."""
+    calibration: Path | None = None
+    """A Velodyne's own calibration (YAML of velodyne_pointcloud); without it the nominal angles hold."""
     buffer_bytes: Annotated[int, Field(ge=65_536, le=67_108_864)] = 4_194_304
 
 
