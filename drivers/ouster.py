@@ -1,8 +1,8 @@
 """Ouster: LiDAR and IMU packets to scans and samples, live and from recordings alike.
 
 The packets are read with the SDK's PacketFormat and put into frames here, not by its FrameBatcher: that one
-trusts the measurement ids of IMU packets (a damaged one writes outside its buffers), waits a long time for
-frames whose number was damaged, and the SDK's class for live sensors is private.
+looks at no checksum, raises in the middle of a frame for an IMU packet with a damaged measurement id, and
+does not tell what is lost. The SDK's class for live sensors is private.
 """
 
 from __future__ import annotations
