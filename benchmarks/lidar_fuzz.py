@@ -17,9 +17,10 @@ import numpy as np
 from rich.console import Console
 
 from drivers.ouster import OusterDecoder
-from drivers.types import Decoder, ImuSample, LidarScan
+from drivers.types import Decoder, LidarScan
 from drivers.velodyne import VelodyneDecoder
 from drivers.velodyne_packets import VLP_16_PRODUCT
+from onboard.core.imu import ImuSample
 from onboard.core.lidar import OS0_64, VLP_16, LidarModel, Scan
 from simulation.ouster_packets import Profile, SimulatedOuster
 from simulation.velodyne_packets import TimedPacket, velodyne_packets

@@ -71,7 +71,7 @@ class OusterPackets:
         return right or not self._has_checksum
 
     def is_imu(self, packet: Bytes) -> bool:
-        return len(packet) == self._format.imu_packet_size
+        return bool(len(packet) == self._format.imu_packet_size)
 
     def is_sound(self, packet: Bytes) -> bool:
         """Whether type and checksum of a packet are right, as far as its kind has them."""

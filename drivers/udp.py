@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import select
 import socket
 import struct
@@ -77,8 +78,16 @@ class UdpSocket:
     def fileno(self) -> int:
         return self._socket.fileno()
 
+    def revive(self) -> bool:
+        """Open the socket anew if the system took it down; false while that does not work."""
+        if self._socket.fileno() >= 0:
+            return True
+        with contextlib.suppress(InputError):
+            self._open()
+        return self._socket.fileno() >= 0
+
     def receive(self, clock: Callable[[], float]) -> list[Packet]:
-        """What is there, at most a batch. A socket that the system took down is opened anew."""
+        """What is there, at most a batch. A socket that the system took down is closed, see `revive`."""
         packets: list[Packet] = []
         for _ in range(BATCH):
             try:
@@ -87,7 +96,6 @@ class UdpSocket:
                 break
             except OSError:
                 self._socket.close()
-                self._open()
                 break
             held_s = self._read_ancillary(ancillary)
             if self._source is None or sender[0] == self._source:
@@ -112,8 +120,9 @@ class UdpSocket:
 
 
 def wait(sockets: Sequence[UdpSocket], timeout_s: float) -> list[UdpSocket]:
-    """The sockets with packets, after at most `timeout_s`."""
-    return select.select(list(sockets), [], [], max(timeout_s, 0.0))[0]
+    """The sockets with packets, after at most `timeout_s`; those that are down are tried again."""
+    alive = [udp for udp in sockets if udp.revive()]
+    return select.select(alive, [], [], max(timeout_s, 0.0))[0]
 
 
 def _resolved(source: str) -> str:

@@ -11,7 +11,8 @@ from ouster.sdk import core
 from sensor_streams import DELAY_S, TURN_S, assert_same_ranges, events, feed, image_of, random_image, scans
 
 from drivers.ouster import OusterDecoder
-from drivers.types import ImuSample, LidarScan
+from drivers.types import LidarScan
+from onboard.core.imu import ImuSample
 from onboard.core.lidar import OS0_64
 from onboard.core.view_mask import ViewMask
 from simulation.ouster_packets import SimulatedOuster

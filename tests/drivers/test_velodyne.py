@@ -104,14 +104,15 @@ def test_files_that_are_no_rawlog_or_hold_no_packet_are_refused(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("name", "sensor", "scans"),
     [
-        ("sample_velodyne_vlp16_gps.pcap", "Velodyne VLP-16", 4),
-        ("sample_velodyne_hdl32.pcap", "Velodyne HDL-32E", 3),
-        ("test_velodyne_VLP16.rawlog", "Velodyne VLP-16", 1),
+        ("mrpt_velodyne/sample_velodyne_vlp16_gps.pcap", "Velodyne VLP-16", 4),
+        ("mrpt_velodyne/sample_velodyne_hdl32.pcap", "Velodyne HDL-32E", 3),
+        ("mrpt_velodyne/test_velodyne_VLP16.rawlog", "Velodyne VLP-16", 1),
+        ("nebula_velodyne_vlp32/1713492677464078412", "Velodyne VLP-32C", 5),
     ],
 )
 def test_real_recordings_hold_the_scans_their_makers_count(
     lidar_data: Path, name: str, sensor: str, scans: int
 ) -> None:
-    recording = open_recording(lidar_data / "mrpt_velodyne" / name)
+    recording = open_recording(lidar_data / name)
     assert recording.sensor_name == sensor
     assert len(list(recording.scans)) == scans
