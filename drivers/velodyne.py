@@ -108,7 +108,7 @@ class VelodyneDecoder:
         outputs = self._restart(host_s) if verdict == "jump" else []
         if verdict == "suspect" or self._is_stray(head, device_s):
             self.counters.damaged += 1
-            return []
+            return outputs
         if head.dual != self._dual:
             outputs += self._restart(host_s)
         self._dual, self._product = head.dual, head.product

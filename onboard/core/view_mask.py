@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,9 +41,16 @@ class ViewMask:
         return self.contains(azimuths, elevations)
 
     def of_model(self, model: LidarModel) -> NDArray[np.bool_]:
-        """(H, W) pixels whose centre lies in a polygon."""
-        elevations, azimuths = np.meshgrid(model.elevations_rad, model.azimuths_rad, indexing="ij")
-        return self.contains(azimuths, elevations)
+        """(H, W) pixels whose centre lies in a polygon; one read-only array per mask and model."""
+        return _pixels(self, model)
+
+
+@lru_cache(maxsize=16)
+def _pixels(mask: ViewMask, model: LidarModel) -> NDArray[np.bool_]:
+    elevations, azimuths = np.meshgrid(model.elevations_rad, model.azimuths_rad, indexing="ij")
+    inside = mask.contains(azimuths, elevations)
+    inside.setflags(write=False)
+    return inside
 
 
 def _in_polygon(x: NDArray[np.floating], y: NDArray[np.floating], polygon: Polygon) -> NDArray[np.bool_]:
