@@ -27,6 +27,10 @@ APPROACH_M = 1.0
 JOINED = 12
 
 
+Way = tuple[bool, bool, bool, FloatArray]
+"""A way (M, 3) after what speaks against it: blocked, too long for the time left, with gaps only seen."""
+
+
 class Navigator:
     """Map, graphs and budget of one robot.
 
@@ -120,32 +124,31 @@ class Navigator:
 
     def _over_graph(self, point: FloatArray, target: FloatArray, radius_m: float) -> FloatArray | None:
         """Way to the node within the radius from which the target is reached soonest; through gaps that the
-        robot has only seen where all else is blocked or takes too long.
-
-        Without any: to the node nearest to it, if that brings the robot nearer; there it holds and looks
-        again.
+        robot has only seen where all else is blocked or takes too long. Without any: to the node nearest to
+        it, if that brings the robot nearer; there it holds and looks again.
         """
         assert self.graph is not None
         self.verify_ways()
-        nodes, offsets_s = self._around_place(target, radius_m)
-        path = None
-        for cautious in (True, False):
-            times = self.times_from_here(point, cautious)
-            arrival = times[nodes] + offsets_s
-            soonest_s = float(arrival.min(initial=np.inf))
-            if np.isfinite(soonest_s) and not (cautious and self.budget.too_late(soonest_s)):
-                path = self.route_to(point, int(nodes[np.argmin(arrival)]), cautious)
-                if not self.way_blocked:
-                    break
-        if path is not None:
+        found = [way for cautious in (True, False) if (way := self._way(point, target, radius_m, cautious))]
+        if found:
+            self.way_blocked, _, _, path = min(found, key=lambda way: way[:3])
             return path
-        offsets = np.linalg.norm(self.graph.points - target, axis=1)
+        times, offsets = self.times_from_here(point), np.linalg.norm(self.graph.points - target, axis=1)
         offsets[~np.isfinite(times)] = np.inf
         node = int(np.argmin(offsets))
-        if offsets[node] < np.linalg.norm(target - point) - APPROACH_M:
-            path = self.route_to(point, node)
+        nearer = offsets[node] < np.linalg.norm(target - point) - APPROACH_M
+        route = self.route_to(point, node) if nearer else None
         self.way_blocked = True
-        return path
+        return route
+
+    def _way(self, point: FloatArray, target: FloatArray, radius_m: float, cautious: bool) -> Way | None:
+        nodes, offsets_s = self._around_place(target, radius_m)
+        arrival = self.times_from_here(point, cautious)[nodes] + offsets_s
+        if not np.isfinite(arrival.min(initial=np.inf)):
+            return None
+        path = self.route_to(point, int(nodes[np.argmin(arrival)]), cautious)
+        late = self.budget.too_late(float(arrival.min()))
+        return None if path is None else (self.way_blocked, late, not cautious, path)
 
     def stop_short(self, plan: Plan, distance_m: float) -> Plan:
         """The plan without its last metres and, where there is room, a climb of a metre at its new end."""

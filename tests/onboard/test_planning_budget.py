@@ -94,6 +94,12 @@ def test_the_way_home_is_counted_by_the_trail_where_only_a_gap_is_shorter():
     assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
     robot.budget.remaining_s = around_s - 5.0  # too late for the way around: what is left is the slit
     assert robot._over_graph(here, HOME, 2.0)[:, 0].max() < 12.0
+    robot.budget.remaining_s = 5.0  # too late for everything: no going to and fro between the two
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    wall(robot.map, (10.8, 4.0, 1.2), (11.6, 4.4, 1.8))
+    robot.budget.remaining_s = around_s - 5.0  # the slit is closed: late is better than never
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    assert not robot.way_blocked
 
 
 @given(st.lists(st.tuples(st.floats(0.05, 2.0), st.floats(-1.0, 3.0)), max_size=300))
