@@ -245,7 +245,7 @@ def test_the_way_back_is_not_counted_through_walls():
 
 
 def test_a_flying_robot_that_plans_its_last_metres_again_and_again_does_not_climb_on():
-    robot = flown((8.0, 1.0))
+    robot = flown((8.0, 1.0), rooms=(((0.0, 0.0, 0.0), (20.0, 2.0, 6.0)),))
     here, heights = np.array([4.0, 1.0, 1.0]), []
     for _ in range(5):
         plan = robot.stop_short(robot.go_to(here, HOME), 2.0)
