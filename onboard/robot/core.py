@@ -21,11 +21,11 @@ from onboard.planning.plan import Plan
 from onboard.robot.carrier import Carrier
 from onboard.robot.flyer import Flyer
 from onboard.robot.interface import Inputs, Log, Outputs, Profile
+from onboard.robot.keep_clear import keep_clear
 from onboard.robot.motion import Motion
 from onboard.robot.roles import Role, Team, vector
 from onboard.robot.sensing import Sensing
 from onboard.robot.soloist import Soloist
-from onboard.safety import keep_clear
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import Bids, Status
 
