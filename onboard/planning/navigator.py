@@ -151,10 +151,10 @@ class Navigator:
         return None if path is None else (self.way_blocked, late, not cautious, path)
 
     def stop_short(self, plan: Plan, distance_m: float) -> Plan:
-        """The plan without its last metres and, where there is room, a climb of a metre at its new end."""
+        """The plan without its last metres and, where there is room, a climb to 1 m above its former end."""
         path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
-        above = path[-1] + np.array([0.0, 0.0, 1.0])
-        if self.visible(path[-1], above):
+        above = path[-1] + np.array([0.0, 0.0, np.clip(plan.path[-1, 2] + 1.0 - path[-1, 2], 0.0, 1.0)])
+        if above[2] > path[-1, 2] and self.visible(path[-1], above):
             path = np.concatenate([path, above[None]])
         return Plan(path, plan.kind, time_s=plan.time_s)
 

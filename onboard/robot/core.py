@@ -21,11 +21,11 @@ from onboard.planning.plan import Plan
 from onboard.robot.carrier import Carrier
 from onboard.robot.flyer import Flyer
 from onboard.robot.interface import Inputs, Log, Outputs, Profile
+from onboard.robot.keep_clear import keep_clear
 from onboard.robot.motion import Motion
 from onboard.robot.roles import Role, Team, vector
 from onboard.robot.sensing import Sensing
 from onboard.robot.soloist import Soloist
-from onboard.safety import keep_clear
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import Bids, Status
 
@@ -73,7 +73,7 @@ class RobotCore:
         self._return_checked_s = -np.inf
         self._must_return = False
         self._near_since_s = np.inf
-        self._way_blocked = False
+        self._way_told = (False, False)
         self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
@@ -255,17 +255,17 @@ class RobotCore:
         target = self.explorer.budget.back_to
         assert target is not None
         plan = self.explorer.go_to(pose.position, target)
-        self._report_way_back(pose)
+        self._report_way_back(pose, plan)
         if self.settings.kind == "ground" or len(plan.path) == 0:
             return plan
         return self.explorer.stop_short(plan, self.team.config.mission.regroup_radius_m * 0.7)
 
-    def _report_way_back(self, pose: Pose) -> None:
-        """Tell when the way back begins or ceases to look blocked: then the robot gets as near as it can,
-        holds there and looks again."""
-        if self.explorer.way_blocked != self._way_blocked:
-            self._way_blocked = self.explorer.way_blocked
-            self._log("way_back", blocked=self._way_blocked, position=vector(pose.position))
+    def _report_way_back(self, pose: Pose, plan: Plan) -> None:
+        """Tell when the way back begins or ceases to look blocked, or too long for the time that is left."""
+        blocked, late = self.explorer.way_blocked, self.explorer.budget.too_late(plan.time_s)
+        if (blocked, late) != self._way_told:
+            self._way_told = blocked, late
+            self._log("way_back", blocked=blocked, late=late, position=vector(pose.position))
 
     def _status(self, inputs: Inputs) -> Status:
         plan = self.motion.plan

@@ -244,6 +244,17 @@ def test_the_way_back_is_not_counted_through_walls():
     assert np.isinf(robot.return_time(np.array([10.0, 3.2, 1.5])))
 
 
+def test_a_flying_robot_that_plans_its_last_metres_again_and_again_does_not_climb_on():
+    robot = flown((8.0, 1.0), rooms=(((0.0, 0.0, 0.0), (20.0, 2.0, 6.0)),))
+    here, heights = np.array([4.0, 1.0, 1.0]), []
+    for _ in range(5):
+        plan = robot.stop_short(robot.go_to(here, HOME), 2.0)
+        here = plan.goal
+        heights.append(here[2])
+    assert heights[-1] == pytest.approx(HOME[2] + 1.0, abs=0.3)
+    assert max(heights) < HOME[2] + 1.3
+
+
 def test_visiting_two_places_takes_the_ways_between_them():
     robot = flown((19.0, 1.0))
     here = np.array([19.0, 1.0, 1.5])

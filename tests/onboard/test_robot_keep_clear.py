@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.planning.follower import Velocity
-from onboard.safety import RETREAT_M_S, keep_clear
+from onboard.robot.keep_clear import RETREAT_M_S, keep_clear
 
 OTHER = np.array([1.0, 2.0, 0.4])
 vectors = st.tuples(*[st.floats(-3, 3)] * 3).map(np.array)
