@@ -1,0 +1,269 @@
+"""The link to a PX4 as a pure state machine: bytes and the clock in, bytes out.
+
+Frames of the callers: map (east, north, up), yaw counter-clockwise from east. Nothing here repeats a setpoint: each
+one that goes out was handed in, so a planner that hangs is a stream that ends.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Any
+
+from drivers.mavlink import commands, modes
+from drivers.mavlink.channel import Channel, Counts
+from drivers.mavlink.commands import Commander, Notice
+from drivers.mavlink.dialect import message
+from drivers.mavlink.events import EventTexts
+from drivers.mavlink.frames import Pose, Vector, about_up, plus, swap, turned_yaw
+from drivers.mavlink.offboard import ENGAGE, Offboard
+from drivers.mavlink.parameter_check import Expected, ParameterCheck
+from drivers.mavlink.pose_feed import FeedSettings, PoseFeed, ResetWatch
+from drivers.mavlink.signing import Signer
+from drivers.mavlink.vehicle_state import StateFolder, VehicleState
+
+ONBOARD_CONTROLLER, INVALID_AUTOPILOT, ACTIVE = 18, 8, 4
+HEARTBEAT_S = 1.0
+LOCAL_NED = 1
+USE_POSITION_VELOCITY = 0b111000000
+"""type_mask: accelerations are ignored, all else counts."""
+WISH_S = 0.02
+WISH_AGAIN_S = 2.0
+ASK_S = 0.25
+RATES_HZ: dict[str, float] = {
+    "EXTENDED_SYS_STATE": 10.0,
+    "CURRENT_MODE": 5.0,
+    "ESTIMATOR_STATUS": 5.0,
+    "ODOMETRY": 20.0,
+    "SYS_STATUS": 1.0,
+    "ATTITUDE": 0.0,
+    "ATTITUDE_QUATERNION": 0.0,
+    "HIGHRES_IMU": 0.0,
+    "LOCAL_POSITION_NED": 0.0,
+    "GLOBAL_POSITION_INT": 0.0,
+    "ALTITUDE": 0.0,
+    "DISTANCE_SENSOR": 0.0,
+    "ATTITUDE_TARGET": 0.0,
+    "POSITION_TARGET_LOCAL_NED": 0.0,
+    "SERVO_OUTPUT_RAW": 0.0,
+    "VFR_HUD": 0.0,
+}
+"""What the link needs of the vehicle, and what only fills a serial line (0: off)."""
+FIRST_ASKED = ("CURRENT_MODE", "EXTENDED_SYS_STATE")
+ALSO_HEARD = ("TIMESYNC", "COMMAND_ACK", "PARAM_VALUE", "FILE_TRANSFER_PROTOCOL", "COMPONENT_METADATA")
+Log = Callable[[float, bytes], None]
+
+
+@dataclass(frozen=True)
+class LinkSettings:
+    """Who we are, whom we talk to, what we expect of it."""
+
+    system: int = 1
+    component: int = 191
+    vehicle_system: int = 1
+    vehicle_component: int = 1
+    parameters: tuple[Expected, ...] = ()
+    feed: FeedSettings = field(default_factory=FeedSettings)
+
+
+class VehicleLink:
+    """One vehicle at the other end of a wire.
+
+    `step` is called often (50 Hz and more) with what was received; between the calls poses, setpoints and commands
+    are handed in. `log` gets every frame in both directions.
+    """
+
+    def __init__(
+        self, settings: LinkSettings | None = None, signer: Signer | None = None, log: Log | None = None
+    ) -> None:
+        self.settings = settings or LinkSettings()
+        self.texts = EventTexts()
+        self._folder = StateFolder(self.texts)
+        heard = self._folder.names | set(ALSO_HEARD)
+        wanted = [message[name].id for name in heard]
+        self._channel = Channel(self.settings.system, self.settings.component, signer, wanted)
+        self._target = (self.settings.vehicle_system, self.settings.vehicle_component)
+        self.feed = PoseFeed(self.settings.feed)
+        self.resets = ResetWatch()
+        self.offboard = Offboard()
+        self._commander = Commander(*self._target)
+        self._check = ParameterCheck(self.settings.parameters, *self._target)
+        self._log = log
+        self._out: list[bytes] = []
+        self._notices: list[Notice] = []
+        self._now_s = 0.0
+        self._heartbeat_s = self._wish_s = self._ask_s = self._setpoint_s = -math.inf
+        self._wishes: list[tuple[str, float]] = list(RATES_HZ.items())
+        self._wished_again = False
+        self.synced = 0
+
+    @property
+    def state(self) -> VehicleState:
+        """What the vehicle says of itself."""
+        return self._folder.state
+
+    @property
+    def counts(self) -> Counts:
+        """What came over the wire, and what of it was refused."""
+        return self._channel.counts
+
+    @property
+    def streaming(self) -> bool:
+        """Whether setpoints that are handed in go out."""
+        return self.offboard.open
+
+    @property
+    def problems(self) -> tuple[str, ...]:
+        """Why this vehicle must not be armed by us, in words; empty when nothing speaks against it."""
+        found = list(self._check.wrong)
+        if not self._check.done:
+            found.append("parameters are not checked yet")
+        if not self.state.alive(self._now_s):
+            found.append("no heartbeat of the vehicle")
+        return tuple(found)
+
+    def position(self) -> Vector | None:
+        """The vehicle's own estimate of where it is, in the map frame."""
+        known = self.state.position
+        return None if known is None else self.feed.bridge.place_back(known)
+
+    def notices(self) -> list[Notice]:
+        """What has happened since the last call."""
+        found, self._notices = self._notices, []
+        return found
+
+    def step(self, now_s: float, data: bytes = b"") -> bytes:
+        """Take what was received, give what is to be sent; `now_s` on a clock that never runs backwards."""
+        self._now_s = now_s
+        for frame, packet in self._channel.receive_frames(data):
+            if (frame[5], frame[6]) == self._target:
+                self._write(frame)
+                self._take(now_s, packet)
+        self._beat(now_s)
+        self._wish(now_s)
+        self._ask(now_s)
+        self._run_commands(now_s)
+        for request in self._check.requests(now_s) if self.state.alive(now_s) else ():
+            self._send(request)
+        if (sample := self.feed.next(now_s)) is not None:
+            self._send(sample)
+        out, self._out = b"".join(self._out), []
+        return out
+
+    def _take(self, now_s: float, packet: Any) -> None:
+        self._folder.note(now_s, packet)
+        match packet.get_type():
+            case "TIMESYNC" if packet.tc1 == 0:
+                self._send(message["TIMESYNC"](round(now_s * 1e9), packet.ts1))
+                self.synced += 1
+            case "COMMAND_ACK":
+                self._commander.acknowledge(now_s, packet)
+            case "PARAM_VALUE":
+                self._check.note(packet)
+            case "ODOMETRY" if self.state.position is not None:
+                self.resets.note(now_s, self.state.position, self.state.velocity, packet.reset_counter)
+
+    def _beat(self, now_s: float) -> None:
+        if now_s - self._heartbeat_s >= HEARTBEAT_S:
+            self._heartbeat_s = now_s
+            self._send(message["HEARTBEAT"](ONBOARD_CONTROLLER, INVALID_AUTOPILOT, 0, 0, ACTIVE, 3))
+
+    def _wish(self, now_s: float) -> None:
+        """Ask for the rates that we need, one by one, and once more later, for a wish may be lost."""
+        if self._wishes and now_s - self._wish_s >= WISH_S:
+            self._wish_s = now_s
+            name, rate = self._wishes.pop(0)
+            interval_us = 1e6 / rate if rate else -1.0
+            self._command(commands.SET_INTERVAL, float(message[name].id), interval_us)
+        elif not self._wishes and not self._wished_again and now_s - self._wish_s > WISH_AGAIN_S:
+            self._wishes, self._wished_again = list(RATES_HZ.items()), self.state.alive(now_s)
+
+    def _ask(self, now_s: float) -> None:
+        """Right after the start: which mode, and does it fly? Who was restarted in flight must know at once."""
+        missing = self.state.mode is None or self.state.landed_state is None
+        if missing and now_s - self._ask_s >= ASK_S:
+            self._ask_s = now_s
+            for name in FIRST_ASKED:
+                self._command(commands.REQUEST, float(message[name].id))
+
+    def _run_commands(self, now_s: float) -> None:
+        followed = self.offboard.step(now_s, self.state, self._commander)
+        packets, ended = self._commander.step(now_s, self.state)
+        for packet in packets:
+            self._send(packet)
+        if ended is not None and ended.kind == ENGAGE and not ended.ok:
+            self.offboard.refused(self._commander)
+        self._notices += [notice for notice in (followed, ended) if notice is not None]
+
+    def set_pose(self, pose: Pose) -> bool:
+        """A new pose of our own odometry. Returns whether the map has jumped under the robot."""
+        return self.feed.update(pose)
+
+    def send_setpoint(self, position: Vector, velocity: Vector, yaw: float, yaw_rate: float) -> bool:
+        """One setpoint, in the map frame; goes out now if the stream is open. Returns whether it did."""
+        if not self.offboard.open:
+            return False
+        since_s = min(1.0, self._now_s - self._setpoint_s)
+        self._setpoint_s = self._now_s
+        bridge = self.feed.bridge
+        place = swap(plus(bridge.place(position), self.resets.shift(since_s)))
+        speed = swap(about_up(velocity, bridge.yaw))
+        rest = (0.0, 0.0, 0.0, turned_yaw(yaw + bridge.yaw), -yaw_rate)
+        head = (round(self._now_s * 1e3) & 0xFFFFFFFF, *self._target, LOCAL_NED, USE_POSITION_VELOCITY)
+        self._send(message["SET_POSITION_TARGET_LOCAL_NED"](*head, *place, *speed, *rest))
+        self.offboard.sent(self._now_s)
+        return True
+
+    def engage(self) -> None:
+        """Open the stream and ask for OFFBOARD. Only ever on an explicit command."""
+        self.resets.clear()
+        self.offboard.engage(self._now_s)
+
+    def adopt(self) -> bool:
+        """Open the stream because the vehicle flies in OFFBOARD already: our process was restarted."""
+        return self.offboard.adopt(self._now_s, self.state)
+
+    def stop_stream(self) -> None:
+        """Close the stream; a vehicle in OFFBOARD then does its failsafe after COM_OF_LOSS_T."""
+        self.offboard.release(self._commander)
+
+    def arm(self) -> bool:
+        """Ask to arm, unless something speaks against it: then a notice says what, and nothing is sent."""
+        if self.problems:
+            self._notices.append(
+                Notice(self._now_s, "arm", False, "arm refused by us: " + "; ".join(self.problems))
+            )
+            return False
+        self._commander.add(commands.arm())
+        return True
+
+    def disarm(self) -> None:
+        """Ask to disarm; refused in the air."""
+        self._commander.drop("arm")
+        self._commander.add(commands.disarm())
+
+    def land(self) -> None:
+        """Ask to land where it is. Setpoints go on until the mode has changed."""
+        self._commander.drop("arm", ENGAGE)
+        self._commander.add(commands.land())
+
+    def hold(self) -> None:
+        """Ask for AUTO.LOITER, which needs a global origin."""
+        self._commander.add(commands.set_mode("hold", modes.LOITER))
+
+    def busy(self, name: str) -> bool:
+        """Whether a command of this name ("arm", "land", ...) is not decided yet."""
+        return self._commander.pending(name)
+
+    def _command(self, number: int, *parameters: float) -> None:
+        self._send(commands.command_long(self._target, number, parameters))
+
+    def _send(self, packet: Any) -> None:
+        frame = self._channel.pack(packet)
+        self._write(frame)
+        self._out.append(frame)
+
+    def _write(self, frame: bytes) -> None:
+        if self._log is not None:
+            self._log(self._now_s, frame)

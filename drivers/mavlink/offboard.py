@@ -1,0 +1,94 @@
+"""The stream of setpoints: when it may run, and when it ends.
+
+It runs from `engage` on, ends at any change of mode that nobody here asked for, and never begins again by itself:
+setpoints that come back after a failsafe would make a PX4 return to OFFBOARD, even from the ground.
+"""
+
+from __future__ import annotations
+
+import math
+from enum import Enum
+
+from drivers.mavlink import modes
+from drivers.mavlink.commands import Commander, Notice, set_mode
+from drivers.mavlink.vehicle_state import VehicleState
+
+PRIME_S = 0.6
+"""A PX4 wants setpoints before it changes into OFFBOARD."""
+ENGAGE_S = 4.0
+ENGAGE = "offboard"
+
+
+class Stream(Enum):
+    """Whether setpoints are sent."""
+
+    OFF = "off"
+    PRIMING = "priming"
+    ENGAGED = "engaged"
+
+
+class Offboard:
+    """Decides whether a setpoint that is at hand goes out."""
+
+    def __init__(self) -> None:
+        self.stream = Stream.OFF
+        self._since_s = -math.inf
+        self._first_s: float | None = None
+        self._entered_s = -math.inf
+
+    @property
+    def open(self) -> bool:
+        """Whether setpoints go out."""
+        return self.stream is not Stream.OFF
+
+    def engage(self, now_s: float) -> None:
+        """Begin to stream and ask for OFFBOARD. An explicit wish, each time anew."""
+        if self.stream is Stream.OFF:
+            self.stream, self._since_s, self._first_s = Stream.PRIMING, now_s, None
+
+    def adopt(self, now_s: float, state: VehicleState) -> bool:
+        """After a restart of ours: go on streaming if the vehicle still is in OFFBOARD, in the air."""
+        fit = state.mode == modes.OFFBOARD and state.in_air and state.armed is not False
+        if fit and self.stream is Stream.OFF:
+            self.stream, self._entered_s = Stream.ENGAGED, now_s
+        return fit
+
+    def release(self, commander: Commander) -> None:
+        """End the stream because we want to."""
+        self.stream = Stream.OFF
+        commander.drop(ENGAGE)
+
+    def sent(self, now_s: float) -> None:
+        """A setpoint went out."""
+        if self._first_s is None:
+            self._first_s = now_s
+
+    def step(self, now_s: float, state: VehicleState, commander: Commander) -> Notice | None:
+        """Follow the vehicle's mode."""
+        if self.stream is Stream.PRIMING:
+            return self._prime(now_s, state, commander)
+        if self.stream is Stream.ENGAGED and state.mode != modes.OFFBOARD:
+            self.release(commander)
+            words = f"the vehicle went to {state.mode_name}: {state.reasons(now_s)}; setpoints stopped"
+            return Notice(now_s, "left offboard", False, words)
+        return None
+
+    def _prime(self, now_s: float, state: VehicleState, commander: Commander) -> Notice | None:
+        primed = self._first_s is not None and now_s - self._first_s >= PRIME_S
+        if primed and state.mode == modes.OFFBOARD and state.mode_s > (self._first_s or 0.0):
+            self.stream, self._entered_s = Stream.ENGAGED, now_s
+            commander.drop(ENGAGE)
+            return Notice(now_s, ENGAGE, True, "offboard: done")
+        if primed:
+            commander.add(set_mode(ENGAGE, modes.OFFBOARD))
+        if now_s - self._since_s > ENGAGE_S:
+            self.release(commander)
+            return Notice(
+                now_s, ENGAGE, False, f"offboard: no effect within {ENGAGE_S:g} s: {state.reasons(now_s)}"
+            )
+        return None
+
+    def refused(self, commander: Commander) -> None:
+        """The vehicle does not want OFFBOARD."""
+        if self.stream is Stream.PRIMING:
+            self.release(commander)
