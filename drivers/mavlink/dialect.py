@@ -19,6 +19,7 @@ FORMATS = {
 }  # fmt: skip
 
 MISSING: dict[int, tuple[str, tuple[str, ...]]] = {
+    397: ("COMPONENT_METADATA", ("uint32_t time_boot_ms", "uint32_t file_crc", "char[100] uri")),
     410: (
         "EVENT",
         (
@@ -63,7 +64,7 @@ def declare(number: int, name: str, texts: tuple[str, ...]) -> type:
     wire = sorted(fields, key=lambda field: -struct.calcsize(FORMATS[field[0]]))
     names = [field for _, _, field in fields]
     wire_names = [field for _, _, field in wire]
-    layout = "<" + "".join(f"{length or ''}{FORMATS[kind]}" for kind, length, _ in wire)
+    layout = "<" + "".join(f"{length or ''}{'s' if kind == 'char' else FORMATS[kind]}" for kind, length, _ in wire)
 
     def build(self: Any, *values: Any) -> None:
         common.MAVLink_message.__init__(self, number, name)
@@ -75,7 +76,7 @@ def declare(number: int, name: str, texts: tuple[str, ...]) -> type:
         flat: list[Any] = []
         for _, length, field in wire:
             value = getattr(self, field)
-            flat.extend(value if length else [value])
+            flat.extend(value if length and not isinstance(value, bytes) else [value])
         return bytes(
             self._pack(mav, self.crc_extra, self.unpacker.pack(*flat), force_mavlink1=force_mavlink1)
         )
@@ -91,7 +92,7 @@ def declare(number: int, name: str, texts: tuple[str, ...]) -> type:
             "fieldtypes": [kind for kind, _, _ in fields],
             "native_format": bytearray(f"<{''.join(FORMATS[kind] for kind, _, _ in wire)}", "ascii"),
             "orders": [wire_names.index(field) for field in names],
-            "lengths": [max(length, 1) for _, length, _ in wire],
+            "lengths": [1 if kind == "char" else max(length, 1) for kind, length, _ in wire],
             "array_lengths": [length for _, length, _ in wire],
             "crc_extra": crc_extra(name, wire),
             "unpacker": struct.Struct(layout),

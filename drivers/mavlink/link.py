@@ -135,6 +135,11 @@ class VehicleLink:
 
     def step(self, now_s: float, data: bytes = b"") -> bytes:
         """Take what was received, give what is to be sent; `now_s` on a clock that never runs backwards."""
+        self.receive(now_s, data)
+        return self.flush()
+
+    def receive(self, now_s: float, data: bytes = b"") -> None:
+        """The first half of `step`: setpoints and commands that follow still go out with this step's `flush`."""
         self._now_s = now_s
         for frame, packet in self._channel.receive_frames(data):
             if (frame[5], frame[6]) == self._target:
@@ -148,6 +153,9 @@ class VehicleLink:
             self._send(request)
         if (sample := self.feed.next(now_s)) is not None:
             self._send(sample)
+
+    def flush(self) -> bytes:
+        """The second half of `step`: everything that is to be sent."""
         out, self._out = b"".join(self._out), []
         return out
 
@@ -246,10 +254,12 @@ class VehicleLink:
     def land(self) -> None:
         """Ask to land where it is. Setpoints go on until the mode has changed."""
         self._commander.drop("arm", ENGAGE)
+        self.offboard.leave()
         self._commander.add(commands.land())
 
     def hold(self) -> None:
         """Ask for AUTO.LOITER, which needs a global origin."""
+        self.offboard.leave()
         self._commander.add(commands.set_mode("hold", modes.LOITER))
 
     def busy(self, name: str) -> bool:

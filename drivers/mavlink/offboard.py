@@ -34,7 +34,7 @@ class Offboard:
         self.stream = Stream.OFF
         self._since_s = -math.inf
         self._first_s: float | None = None
-        self._entered_s = -math.inf
+        self._leaving = False
 
     @property
     def open(self) -> bool:
@@ -45,18 +45,23 @@ class Offboard:
         """Begin to stream and ask for OFFBOARD. An explicit wish, each time anew."""
         if self.stream is Stream.OFF:
             self.stream, self._since_s, self._first_s = Stream.PRIMING, now_s, None
+            self._leaving = False
 
     def adopt(self, now_s: float, state: VehicleState) -> bool:
         """After a restart of ours: go on streaming if the vehicle still is in OFFBOARD, in the air."""
         fit = state.mode == modes.OFFBOARD and state.in_air and state.armed is not False
         if fit and self.stream is Stream.OFF:
-            self.stream, self._entered_s = Stream.ENGAGED, now_s
+            self.stream, self._leaving = Stream.ENGAGED, False
         return fit
 
     def release(self, commander: Commander) -> None:
         """End the stream because we want to."""
         self.stream = Stream.OFF
         commander.drop(ENGAGE)
+
+    def leave(self) -> None:
+        """Another mode was asked for: the stream goes on until the vehicle is in it."""
+        self._leaving = True
 
     def sent(self, now_s: float) -> None:
         """A setpoint went out."""
@@ -69,6 +74,8 @@ class Offboard:
             return self._prime(now_s, state, commander)
         if self.stream is Stream.ENGAGED and state.mode != modes.OFFBOARD:
             self.release(commander)
+            if self._leaving:
+                return None
             words = f"the vehicle went to {state.mode_name}: {state.reasons(now_s)}; setpoints stopped"
             return Notice(now_s, "left offboard", False, words)
         return None
@@ -76,7 +83,7 @@ class Offboard:
     def _prime(self, now_s: float, state: VehicleState, commander: Commander) -> Notice | None:
         primed = self._first_s is not None and now_s - self._first_s >= PRIME_S
         if primed and state.mode == modes.OFFBOARD and state.mode_s > (self._first_s or 0.0):
-            self.stream, self._entered_s = Stream.ENGAGED, now_s
+            self.stream = Stream.ENGAGED
             commander.drop(ENGAGE)
             return Notice(now_s, ENGAGE, True, "offboard: done")
         if primed:

@@ -85,7 +85,7 @@ class Autopilot:
             self.body.rest()
             self.controller.reset()
         self.estimator.predict(now_s, STEP_S, self.body.acceleration, self.body.yaw_rate, not flying)
-        self.estimator.hold_height(self.body.position[2], STEP_S)
+        self.estimator.hold_height(now_s, self.body.position[2], STEP_S)
         self._detect_landing()
         get = self.parameters
         self.battery.run(STEP_S, status.armed, get["SIM_BAT_DRAIN"], get["SIM_BAT_MIN_PCT"] / 100.0)

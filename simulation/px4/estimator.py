@@ -62,7 +62,7 @@ class Estimator:
         self.velocity: Vec = [0.0, 0.0, 0.0]
         self.yaw = 0.0
         self.reset_counter = 0
-        self._level = truth[2]
+        self._baro_offset = -truth[2]
 
     def predict(self, now_s: float, dt_s: float, acceleration: Vec, yaw_rate: float, resting: bool) -> None:
         """Integrate the inertial sensors over `dt_s`."""
@@ -77,12 +77,14 @@ class Estimator:
         self.yaw = wrap(self.yaw + yaw_rate * dt_s)
         self._remember(now_s)
 
-    def hold_height(self, height: float, dt_s: float) -> None:
-        """Use the barometer, which knows the true `height` (down) relative to the start."""
-        if self._parameters["EKF2_BARO_CTRL"]:
-            error = height - self._level - self.position[2]
-            self.position[2] += error * min(1.0, 0.6 * dt_s)
-            self.velocity[2] += error * min(1.0, 0.3 * dt_s)
+    def hold_height(self, now_s: float, height: float, dt_s: float) -> None:
+        """Hear the barometer, which knows the true `height` (down); while vision leads, its offset is learned."""
+        if self.aided(now_s):
+            self._baro_offset = self.position[2] - height
+        elif self._parameters["EKF2_BARO_CTRL"]:
+            error = height + self._baro_offset - self.position[2]
+            self.position[2] += error * min(1.0, 2.0 * dt_s)
+            self.velocity[2] += error * min(1.0, 1.0 * dt_s)
 
     def _remember(self, now_s: float) -> None:
         self._history.append((now_s, list(self.position)))

@@ -1,0 +1,1 @@
+"""The processes of a robot: cores put together with drivers."""
