@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from drivers.mavlink import commands, modes
@@ -16,12 +16,12 @@ from drivers.mavlink.channel import Channel, Counts
 from drivers.mavlink.commands import Commander, Notice
 from drivers.mavlink.dialect import message
 from drivers.mavlink.events import EventTexts
-from drivers.mavlink.frames import Pose, Vector, about_up, plus, swap, turned_yaw
+from drivers.mavlink.frames import Bridge, Pose, Vector, about_up, plus, swap, turned_yaw
 from drivers.mavlink.offboard import ENGAGE, Offboard
 from drivers.mavlink.parameter_check import Expected, ParameterCheck
 from drivers.mavlink.pose_feed import FeedSettings, PoseFeed, ResetWatch
 from drivers.mavlink.signing import Signer
-from drivers.mavlink.vehicle_state import StateFolder, VehicleState
+from drivers.mavlink.vehicle_state import PREDICTED, StateFolder, VehicleState
 
 ONBOARD_CONTROLLER, INVALID_AUTOPILOT, ACTIVE = 18, 8, 4
 HEARTBEAT_S = 1.0
@@ -36,6 +36,7 @@ RATES_HZ: dict[str, float] = {
     "CURRENT_MODE": 5.0,
     "ESTIMATOR_STATUS": 5.0,
     "ODOMETRY": 20.0,
+    "POSITION_TARGET_LOCAL_NED": 5.0,
     "SYS_STATUS": 1.0,
     "ATTITUDE": 0.0,
     "ATTITUDE_QUATERNION": 0.0,
@@ -45,12 +46,14 @@ RATES_HZ: dict[str, float] = {
     "ALTITUDE": 0.0,
     "DISTANCE_SENSOR": 0.0,
     "ATTITUDE_TARGET": 0.0,
-    "POSITION_TARGET_LOCAL_NED": 0.0,
     "SERVO_OUTPUT_RAW": 0.0,
     "VFR_HUD": 0.0,
 }
 """What the link needs of the vehicle, and what only fills a serial line (0: off)."""
-FIRST_ASKED = ("CURRENT_MODE", "EXTENDED_SYS_STATE")
+FIRST_ASKED = ("CURRENT_MODE", "EXTENDED_SYS_STATE", "ODOMETRY", "POSITION_TARGET_LOCAL_NED")
+ANCHOR_S = 0.5
+"""So long a new link waits for the vehicle's own estimate before it streams poses."""
+ANCHOR_M, ANCHOR_RAD = 0.3, 0.2
 ALSO_HEARD = ("TIMESYNC", "COMMAND_ACK", "PARAM_VALUE", "FILE_TRANSFER_PROTOCOL", "COMPONENT_METADATA")
 Log = Callable[[float, bytes], None]
 
@@ -93,6 +96,7 @@ class VehicleLink:
         self._out: list[bytes] = []
         self._notices: list[Notice] = []
         self._now_s = 0.0
+        self._begun_s = math.inf
         self._heartbeat_s = self._wish_s = self._ask_s = self._setpoint_s = -math.inf
         self._wishes: list[tuple[str, float]] = list(RATES_HZ.items())
         self._wished_again = False
@@ -128,6 +132,11 @@ class VehicleLink:
         known = self.state.position
         return None if known is None else self.feed.bridge.place_back(known)
 
+    def target(self) -> Vector | None:
+        """Where the vehicle says that it is flying to, in the map frame."""
+        known = self.state.target
+        return None if known is None else self.feed.bridge.place_back(known)
+
     def notices(self) -> list[Notice]:
         """What has happened since the last call."""
         found, self._notices = self._notices, []
@@ -140,6 +149,7 @@ class VehicleLink:
 
     def receive(self, now_s: float, data: bytes = b"") -> None:
         """The first half of `step`: setpoints and commands that follow still go out with this step's `flush`."""
+        self._begun_s = min(self._begun_s, now_s)
         self._now_s = now_s
         for frame, packet in self._channel.receive_frames(data):
             if (frame[5], frame[6]) == self._target:
@@ -206,7 +216,25 @@ class VehicleLink:
 
     def set_pose(self, pose: Pose) -> bool:
         """A new pose of our own odometry. Returns whether the map has jumped under the robot."""
+        if self.feed.pose is None and not self._anchor(pose):
+            return False
         return self.feed.update(pose)
+
+    def _anchor(self, pose: Pose) -> bool:
+        """Join map and vehicle when we come back in flight: the process before may have moved the map.
+
+        Returns whether poses may be streamed.
+        """
+        state = self.state
+        if state.position is None or state.yaw is None or state.landed_state is None:
+            return self._now_s - self._begun_s > ANCHOR_S
+        half = state.yaw / 2
+        there = replace(pose, position=state.position, quaternion=(0.0, 0.0, math.sin(half), math.cos(half)))
+        turn = abs(math.remainder(there.yaw - pose.yaw, math.tau))
+        apart = math.dist(there.position, pose.position) > ANCHOR_M or turn > ANCHOR_RAD
+        if apart and state.in_air and state.flags is not None and state.flags & PREDICTED:
+            self.feed.bridge = Bridge.joining(pose, there)
+        return True
 
     def send_setpoint(self, position: Vector, velocity: Vector, yaw: float, yaw_rate: float) -> bool:
         """One setpoint, in the map frame; goes out now if the stream is open. Returns whether it did."""

@@ -46,6 +46,8 @@ class VehicleState:
     tilt: float = 0.0
     position_s: float = -math.inf
     reset_counter: int = 0
+    target: Vector | None = None
+    """Where it is flying to, by its own account."""
     events: deque[tuple[float, int, str]] = field(default_factory=lambda: deque(maxlen=EVENTS_KEPT))
 
     def alive(self, now_s: float) -> bool:
@@ -93,6 +95,7 @@ class StateFolder:
             "BATTERY_STATUS": self._battery,
             "ESTIMATOR_STATUS": self._estimator,
             "ODOMETRY": self._odometry,
+            "POSITION_TARGET_LOCAL_NED": self._target,
             "EVENT": self._event,
             "STATUSTEXT": self._status_text,
         }
@@ -138,6 +141,10 @@ class StateFolder:
         state.velocity = swap((packet.vx, packet.vy, packet.vz))
         state.yaw, state.tilt = turned_yaw(yaw_of_ned(tuple(packet.q))), tilt_of(tuple(packet.q))
         state.position_s, state.reset_counter = now_s, packet.reset_counter
+
+    def _target(self, now_s: float, packet: Any) -> None:
+        place = (packet.x, packet.y, packet.z)
+        self.state.target = swap(place) if all(map(math.isfinite, place)) else None
 
     def _event(self, now_s: float, packet: Any) -> None:
         if packet.sequence == self._last_sequence:

@@ -185,7 +185,9 @@ class AutopilotCore:
             return None
         self._decided = True
         self._actions.append(Action.ADOPT)
-        self.reference.start(pose.position, ZERO, pose.yaw)
+        target = vehicle.target
+        near = target is not None and math.dist(target, pose.position) < self.settings.leash_m
+        self.reference.start(target if near and target is not None else pose.position, ZERO, pose.yaw)
         self._go(inputs, Phase.FLYING, "started in flight: holding")
         return self._flying(inputs, dt_s)
 

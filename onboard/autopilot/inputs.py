@@ -97,6 +97,8 @@ class VehicleFacts:
     position: Vector | None = None
     """The vehicle's own estimate, in the map frame, heard at `position_s`."""
     position_s: float = -math.inf
+    target: Vector | None = None
+    """Where the vehicle flies to, map frame."""
 
 
 @dataclass(frozen=True)
