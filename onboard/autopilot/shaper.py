@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 from onboard.autopilot.inputs import Gate
 from onboard.autopilot.reference import Aim
@@ -38,6 +39,7 @@ class Shaper:
     def shape(self, now_s: float, aim: Aim, place: Vector, place_s: float) -> Setpoint | None:
         """A setpoint that the gate allows: towards `aim`, else one that holds, else None.
 
+        An aim without a clearance is one that holds.
         `place`, `place_s`: where the robot is (map frame), and of when that is.
         """
         facts = FlightFacts(
@@ -48,13 +50,15 @@ class Shaper:
             previous=self._previous,
         )
         wanted = self._limited(now_s, aim, place)
-        verdict = self._allow(wanted, facts, self._limits) if aim.clearance_m is not None else None
-        if verdict is None or not verdict.ok:
-            if verdict is not None:
+        if aim.clearance_m is None:
+            wanted = _still(wanted, wanted.position)
+        else:
+            verdict = self._allow(wanted, facts, self._limits)
+            if not verdict.ok:
                 self.refused, self.reason = self.refused + 1, verdict.reason
-            wanted = self._held(wanted, place)
-            if not self._allow_hold(wanted, facts, self._limits).ok:
-                return None
+                wanted = self._held(wanted, place)
+        if not any((*wanted.velocity, wanted.yaw_rate)) and not self._allow_hold(wanted, facts, self._limits).ok:
+            return None
         self._previous = wanted
         return wanted
 
@@ -77,10 +81,13 @@ class Shaper:
 
     def _held(self, wanted: Setpoint, place: Vector) -> Setpoint:
         """Stay at the setpoint before, or where the robot is."""
-        position = place if self._previous is None else self._previous.position
-        position = _near(position, place, WITHIN * self._limits.lead_m)
-        yaw = wanted.yaw if self._previous is None else self._previous.yaw
-        return Setpoint(wanted.stamp_s, MAP, position, ZERO, ZERO, yaw, 0.0)
+        before = self._previous
+        position = place if before is None else _near(before.position, place, WITHIN * self._limits.lead_m)
+        return _still(wanted if before is None else replace(wanted, yaw=before.yaw), position)
+
+
+def _still(setpoint: Setpoint, position: Vector) -> Setpoint:
+    return replace(setpoint, position=position, velocity=ZERO, yaw_rate=0.0)
 
 
 def _near(position: Vector, place: Vector, most_m: float) -> Vector:
