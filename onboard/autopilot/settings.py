@@ -52,6 +52,11 @@ class FlightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     climb_s: Positive = 15.0
     rate_hz: Annotated[float, msgspec.Meta(ge=5.0, le=100.0)] = 20.0
 
+    def inside(self, position: tuple[float, float, float]) -> bool:
+        """Whether a place is within fence and altitudes."""
+        ranges = (self.fence_x_m, self.fence_y_m, self.altitude_m)
+        return all(low <= p <= high for p, (low, high) in zip(position, ranges, strict=True))
+
     def gate_limits(self) -> FlightLimits:
         """What the safety gate holds every setpoint to."""
         return FlightLimits(

@@ -65,7 +65,7 @@ class Shaper:
     def _limited(self, now_s: float, aim: Aim, place: Vector) -> Setpoint:
         limits, before = self._limits, self._previous
         position = self._fenced(_near(aim.position, place, WITHIN * limits.lead_m))
-        velocity = shortened(aim.velocity, WITHIN * limits.speed_m_s)
+        velocity = self._inward(position, shortened(aim.velocity, WITHIN * limits.speed_m_s))
         yaw = aim.yaw
         if before is not None:
             step_s = max(0.0, min(STEP_MAX_S, now_s - before.stamp_s)) * WITHIN
@@ -74,9 +74,20 @@ class Shaper:
             yaw = turn_towards(before.yaw, yaw, limits.yaw_rate_rad_s * step_s)
         return Setpoint(now_s, MAP, position, velocity, ZERO, yaw, 0.0)
 
+    @property
+    def _ranges(self) -> tuple[tuple[float, float], ...]:
+        return (self._limits.fence_x_m, self._limits.fence_y_m, self._limits.altitude_m)
+
     def _fenced(self, position: Vector) -> Vector:
-        ranges = (self._limits.fence_x_m, self._limits.fence_y_m, self._limits.altitude_m)
-        x, y, z = (min(max(p, low), high) for p, (low, high) in zip(position, ranges, strict=True))
+        x, y, z = (min(max(p, low), high) for p, (low, high) in zip(position, self._ranges, strict=True))
+        return (x, y, z)
+
+    def _inward(self, position: Vector, velocity: Vector) -> Vector:
+        """At the fence nothing pushes on through it."""
+        x, y, z = (
+            0.0 if (p >= high and v > 0.0) or (p <= low and v < 0.0) else v
+            for p, v, (low, high) in zip(position, velocity, self._ranges, strict=True)
+        )
         return (x, y, z)
 
     def _held(self, wanted: Setpoint, place: Vector) -> Setpoint:

@@ -40,6 +40,8 @@ class _Sample:
 class Trajectory:
     """Built once per path from points (map frame, metres) and their distances to what is occupied.
 
+    It ends before the first place that is too narrow or outside the fence.
+
     `speed` is that of the robot along the path at its beginning.
     """
 
@@ -48,7 +50,7 @@ class Trajectory:
     ) -> None:
         self._settings = settings
         samples = _spaced(_rounded(_distinct(points, clearances), settings.corner_m))
-        self._samples = _until_narrow(samples, settings.clearance_m)
+        self._samples = _until_forbidden(samples, settings)
         self._along = [0.0]
         for before, after in zip(self._samples, self._samples[1:], strict=False):
             self._along.append(self._along[-1] + math.dist(before.position, after.position))
@@ -56,7 +58,7 @@ class Trajectory:
 
     @property
     def length_m(self) -> float:
-        """Length of the rounded path, up to where it becomes too narrow."""
+        """Length of the rounded path, as far as it may be flown."""
         return self._along[-1]
 
     @property
@@ -187,9 +189,10 @@ def _spaced(samples: list[_Sample]) -> list[_Sample]:
     return found
 
 
-def _until_narrow(samples: list[_Sample], clearance_m: float) -> list[_Sample]:
-    """The samples before the first that is too close to something, or whose distance nobody knows."""
+def _until_forbidden(samples: list[_Sample], settings: FlightSettings) -> list[_Sample]:
+    """The samples before the first that is outside the fence, too close to something, or of unknown room."""
     for i, sample in enumerate(samples):
-        if not sample.clearance_m >= clearance_m and i > 0:
+        narrow = not sample.clearance_m >= settings.clearance_m
+        if i > 0 and (narrow or not settings.inside(sample.position)):
             return samples[:i]
     return samples

@@ -24,7 +24,7 @@ from drivers.mavlink.channel import Channel
 from drivers.mavlink.frames import Pose, swap, tilt_of, turned_yaw, yaw_of_ned
 from drivers.mavlink.link import LinkSettings, VehicleLink
 from drivers.mavlink.parameter_check import Expected, load_parameters
-from drivers.mavlink.signing import Signer
+from drivers.mavlink.signing import Signer, stamp_of
 from onboard.autopilot.core import AutopilotCore
 from onboard.autopilot.inputs import Guidance, Order, Wish
 from onboard.autopilot.settings import FlightSettings
@@ -177,7 +177,7 @@ class Rig:
         self._data = b""
         self._tick = 0
         self._truth_channel = Channel(255, 190)
-        self.signer = Signer(KEY)
+        self.signer = Signer(KEY, stamp_of(time.time()))
         self.start_pilot()
 
     @property
