@@ -26,8 +26,8 @@ from drivers.mavlink.vehicle_state import PREDICTED, StateFolder, VehicleState
 ONBOARD_CONTROLLER, INVALID_AUTOPILOT, ACTIVE = 18, 8, 4
 HEARTBEAT_S = 1.0
 LOCAL_NED = 1
-USE_POSITION_VELOCITY = 0b111000000
-"""type_mask: accelerations are ignored, all else counts."""
+USE_ALL = 0
+"""type_mask: position, velocity, acceleration, yaw and yaw rate all count."""
 WISH_S = 0.02
 WISH_AGAIN_S = 2.0
 ASK_S = 0.25
@@ -236,8 +236,13 @@ class VehicleLink:
             self.feed.bridge = Bridge.joining(pose, there)
         return True
 
-    def send_setpoint(self, position: Vector, velocity: Vector, yaw: float, yaw_rate: float) -> bool:
-        """One setpoint, in the map frame; goes out now if the stream is open. Returns whether it did."""
+    def send_setpoint(
+        self, position: Vector, velocity: Vector, acceleration: Vector, yaw: float, yaw_rate: float
+    ) -> bool:
+        """One setpoint, in the map frame; goes out now if the stream is open. Returns whether it did.
+
+        Velocity and acceleration are fed forward by the vehicle's controllers.
+        """
         if not self.offboard.open:
             return False
         since_s = min(1.0, self._now_s - self._setpoint_s)
@@ -245,9 +250,10 @@ class VehicleLink:
         bridge = self.feed.bridge
         place = swap(plus(bridge.place(position), self.resets.shift(since_s)))
         speed = swap(about_up(velocity, bridge.yaw))
-        rest = (0.0, 0.0, 0.0, turned_yaw(yaw + bridge.yaw), -yaw_rate)
-        head = (round(self._now_s * 1e3) & 0xFFFFFFFF, *self._target, LOCAL_NED, USE_POSITION_VELOCITY)
-        self._send(message["SET_POSITION_TARGET_LOCAL_NED"](*head, *place, *speed, *rest))
+        push = swap(about_up(acceleration, bridge.yaw))
+        rest = (turned_yaw(yaw + bridge.yaw), -yaw_rate)
+        head = (round(self._now_s * 1e3) & 0xFFFFFFFF, *self._target, LOCAL_NED, USE_ALL)
+        self._send(message["SET_POSITION_TARGET_LOCAL_NED"](*head, *place, *speed, *push, *rest))
         self.offboard.sent(self._now_s)
         return True
 

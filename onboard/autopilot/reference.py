@@ -1,7 +1,8 @@
 """Where the robot should be now, and the setpoint that makes it be there.
 
-A multirotor under position and velocity setpoints trails them: its velocity loop lags, and drag costs a standing
-error. Both act like a delay, which is measured in flight: setpoints are those of the motion `lag_s` later.
+A multirotor under position and velocity setpoints trails them for two reasons. Its attitude lags: setpoints are those
+of the motion `lag_s` later. And drag wants thrust before any error builds up: acceleration is fed forward, that of the
+motion and that of the drag, whose coefficient is learned from the error that remains along the way.
 """
 
 from __future__ import annotations
@@ -27,7 +28,10 @@ from onboard.autopilot.vectors import (
     unit,
 )
 
-LEARN_1_S = 0.4
+LEARN_1_S2 = 0.5
+"""How fast a standing error becomes drag."""
+AHEAD_S = 0.1
+"""Over this time velocities are differentiated."""
 LEARN_FROM_M_S = 0.3
 LOOK_M_S = 0.15
 """Slower than this the robot keeps its heading."""
@@ -44,6 +48,7 @@ class Aim:
     velocity: Vector
     yaw: float
     clearance_m: float | None
+    acceleration: Vector = ZERO
 
 
 class Reference:
@@ -57,7 +62,7 @@ class Reference:
         self._along_m = 0.0
         self._rate = 1.0
         self._yaw_goal: float | None = None
-        self.lag_s = settings.lag_s
+        self.drag_1_s = settings.drag_1_s
         self.position: Vector = ZERO
         self.velocity: Vector = ZERO
         self.yaw = 0.0
@@ -131,12 +136,13 @@ class Reference:
         self.position = add(self.position, scale(add(before, self.velocity), dt_s / 2))
 
     def _learn(self, dt_s: float, pose: Pose) -> None:
-        """The delay by which the robot trails: the error along the way over the speed, summed up slowly."""
+        """Who is late all the time needs more thrust against the drag at that speed."""
         speed = norm(self.velocity)
         if speed < LEARN_FROM_M_S or self._rate < 1.0:
             return
-        late_s = dot(sub(self.position, pose.position), self.velocity) / speed**2
-        self.lag_s = clamp(self.lag_s + LEARN_1_S * late_s * dt_s, 0.0, self._settings.lag_max_s)
+        late = dot(sub(self.position, pose.position), self.velocity) / speed**2
+        learned = self.drag_1_s + LEARN_1_S2 * late * dt_s
+        self.drag_1_s = clamp(learned, 0.0, self._settings.drag_max_1_s)
 
     def _turn(self, dt_s: float) -> None:
         limit = self._settings.yaw_rate_rad_s * dt_s
@@ -152,8 +158,15 @@ class Reference:
 
     def aim(self) -> Aim:
         """The motion as it will be when the robot has caught up."""
+        lag_s = self._settings.lag_s
         if self._trajectory is None:
-            position = add(self.position, scale(self.velocity, self.lag_s * 0.5))
-            return Aim(position, self.velocity, self.yaw, self._drive.clearance_m if self._drive else None)
-        moment = self._trajectory.at(self._trajectory.advanced(self._along_m, self.lag_s * self._rate))
-        return Aim(moment.position, scale(moment.velocity, self._rate), self.yaw, moment.clearance_m)
+            position = add(self.position, scale(self.velocity, lag_s))
+            push = scale(self.velocity, self.drag_1_s)
+            return Aim(position, self.velocity, self.yaw, self._drive.clearance_m if self._drive else None, push)
+        along_m = self._trajectory.advanced(self._along_m, lag_s * self._rate)
+        moment = self._trajectory.at(along_m)
+        after = self._trajectory.at(self._trajectory.advanced(along_m, AHEAD_S))
+        velocity = scale(moment.velocity, self._rate)
+        change = scale(sub(after.velocity, moment.velocity), self._rate**2 / AHEAD_S)
+        push = add(change, scale(velocity, self.drag_1_s))
+        return Aim(moment.position, velocity, self.yaw, moment.clearance_m, push)

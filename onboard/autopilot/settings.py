@@ -40,9 +40,11 @@ class FlightSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_f
     """Largest distance of a setpoint to the robot."""
     leash_m: Positive = 0.8
     """The reference waits for a robot that is farther behind."""
-    lag_s: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 0.6
-    """By how much setpoints run ahead at first; learned in flight."""
-    lag_max_s: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 1.3
+    lag_s: Annotated[float, msgspec.Meta(ge=0.0, le=1.0)] = 0.15
+    """By how much setpoints run ahead."""
+    drag_1_s: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 0.4
+    """Deceleration by drag per speed, as first assumed; learned in flight."""
+    drag_max_1_s: Annotated[float, msgspec.Meta(ge=0.0, le=2.0)] = 1.2
     hold_after_s: Positive = 0.3
     stop_after_s: Positive = 1.0
     take_off_tilt_rad: Positive = 0.35

@@ -57,7 +57,7 @@ class Shaper:
             if not verdict.ok:
                 self.refused, self.reason = self.refused + 1, verdict.reason
                 wanted = self._held(wanted, place)
-        if not any((*wanted.velocity, wanted.yaw_rate)) and not self._allow_hold(wanted, facts, self._limits).ok:
+        if not any(wanted.velocity) and not self._allow_hold(wanted, facts, self._limits).ok:
             return None
         self._previous = wanted
         return wanted
@@ -72,7 +72,8 @@ class Shaper:
             position = towards(before.position, position, limits.speed_m_s * step_s)
             velocity = towards(before.velocity, velocity, limits.acceleration_m_s2 * step_s)
             yaw = turn_towards(before.yaw, yaw, limits.yaw_rate_rad_s * step_s)
-        return Setpoint(now_s, MAP, position, velocity, ZERO, yaw, 0.0)
+        push = shortened(aim.acceleration, WITHIN * limits.acceleration_m_s2)
+        return Setpoint(now_s, MAP, position, velocity, push, yaw, 0.0)
 
     @property
     def _ranges(self) -> tuple[tuple[float, float], ...]:
@@ -98,7 +99,7 @@ class Shaper:
 
 
 def _still(setpoint: Setpoint, position: Vector) -> Setpoint:
-    return replace(setpoint, position=position, velocity=ZERO, yaw_rate=0.0)
+    return replace(setpoint, position=position, velocity=ZERO, acceleration=ZERO, yaw_rate=0.0)
 
 
 def _near(position: Vector, place: Vector, most_m: float) -> Vector:

@@ -76,9 +76,9 @@ class Pilot:
             self._tell(now_s, note)
         for action in self.outputs.actions:
             self._do(action)
-        setpoint = self.outputs.setpoint
-        if setpoint is not None:
-            self.link.send_setpoint(setpoint.position, setpoint.velocity, setpoint.yaw, setpoint.yaw_rate)
+        s = self.outputs.setpoint
+        if s is not None:
+            self.link.send_setpoint(s.position, s.velocity, s.acceleration, s.yaw, s.yaw_rate)
 
     def _facts(self, now_s: float) -> VehicleFacts:
         state, link = self.link.state, self.link

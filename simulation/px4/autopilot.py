@@ -86,7 +86,7 @@ class Autopilot:
             self.controller.reset()
         self.estimator.predict(now_s, STEP_S, self.body.acceleration, self.body.yaw_rate, not flying)
         self.estimator.hold_height(now_s, self.body.position[2], STEP_S)
-        self._detect_landing()
+        self._detect_landing(flying)
         get = self.parameters
         self.battery.run(STEP_S, status.armed, get["SIM_BAT_DRAIN"], get["SIM_BAT_MIN_PCT"] / 100.0)
 
@@ -129,10 +129,10 @@ class Autopilot:
         height, climb = self.target.position[2], self.target.velocity[2]
         return height < self.estimator.position[2] or (math.isnan(height) and climb < 0.0)
 
-    def _detect_landing(self) -> None:
+    def _detect_landing(self, flying: bool) -> None:
         status = self.status
         sinking = not status.armed or self.controller.velocity_target[2] > 0.05
-        if status.landed or not (self.body.on_ground and status.lifted and sinking):
+        if status.landed or not (flying and self.body.on_ground and sinking):
             status.touch_s = math.inf
             return
         status.touch_s = min(status.touch_s, status.now_s)

@@ -23,10 +23,10 @@ class Airframe:
     """Linear drag over mass: SIH_KDV 1 N/(m/s) on SIH_MASS 1 kg."""
     thrust_to_weight: float = 2.04
     """Four times SIH_T_MAX 5 N over the weight."""
-    tilt_lag_s: float = 0.12
+    tilt_lag_s: float = 0.2
     climb_lag_s: float = 0.06
     yaw_lag_s: float = 0.25
-    accel_noise: float = 0.35
+    accel_noise: float = 1.3
     """Standard deviation of the accelerometer in m/s^2 at 50 Hz, as far as the estimator feels it."""
     accel_bias: float = 0.12
     """What the estimator has not learned of the bias, m/s^2."""
