@@ -274,7 +274,7 @@ class AutopilotCore:
             return None
         sees = self._sees(inputs)
         motion = inputs.guidance.motion if inputs.guidance is not None and self._guided(inputs) else None
-        if not sees or motion is None or (inputs.guidance and inputs.guidance.stamp_s <= self._map_s):
+        if not sees or motion is None or not motion.usable or (inputs.guidance and inputs.guidance.stamp_s <= self._map_s):
             self.reference.hold()
         elif isinstance(motion, Path):
             self.reference.follow(motion)

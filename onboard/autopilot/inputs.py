@@ -13,6 +13,9 @@ from onboard.safety import Verdict
 from onboard.safety_facts import FlightFacts, FlightLimits, Setpoint
 
 
+POINTS_MAX, LENGTH_MAX_M = 1000, 1000.0
+
+
 class Pose(Protocol):
     """Where the robot is, in the map frame. `epoch` counts jumps of the map that the source knows of."""
 
@@ -38,6 +41,18 @@ class Path:
     yaw: float | None = None
     """Heading to keep; without one the robot looks where it flies."""
 
+    @property
+    def usable(self) -> bool:
+        """Whether it is a path at all: numbers, as many distances as points, of a length that makes sense."""
+        numbers = [value for point in self.points for value in point]
+        if self.yaw is not None:
+            numbers.append(self.yaw)
+        if not 1 <= len(self.points) <= POINTS_MAX or len(self.points) != len(self.clearances_m):
+            return False
+        if not all(map(math.isfinite, numbers)) or any(map(math.isnan, self.clearances_m)):
+            return False
+        return sum(map(math.dist, self.points, self.points[1:])) <= LENGTH_MAX_M
+
 
 @dataclass(frozen=True)
 class Drive:
@@ -46,6 +61,11 @@ class Drive:
     velocity: Vector
     yaw_rate: float
     clearance_m: float
+
+    @property
+    def usable(self) -> bool:
+        """Whether all of it are numbers."""
+        return all(map(math.isfinite, (*self.velocity, self.yaw_rate, self.clearance_m)))
 
 
 @dataclass(frozen=True)

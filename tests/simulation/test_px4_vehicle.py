@@ -344,7 +344,7 @@ def test_trails_its_setpoints_like_a_real_one(speed: float, feed: bool) -> None:
                 beside.append(min(math.dist(bench.place[:2], corner) for corner in lap))
 
     bench.run(25.0, each)
-    assert median(late) == pytest.approx(MEASURED[speed, feed][0], rel=0.25)
+    assert median(late) == pytest.approx(MEASURED[speed, feed][0], rel=0.3)
     assert median(beside) == pytest.approx(MEASURED[speed, feed][1], abs=0.16)
 
 
