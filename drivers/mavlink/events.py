@@ -76,6 +76,8 @@ class Definition:
     arguments: tuple[str, ...] = ()
     words: Mapping[str, Mapping[int, str]] = field(default_factory=dict)
     """Names of the values of those types that are enumerations."""
+    bases: Mapping[str, str] = field(default_factory=dict)
+    """The plain types under the enumerations."""
 
     def describe(self, payload: bytes) -> str:
         """The text with the arguments that `payload` carries."""
@@ -90,7 +92,7 @@ class Definition:
     def _values(self, payload: bytes) -> list[str]:
         values, offset = [], 0
         for kind in self.arguments:
-            layout = struct.Struct("<" + _SIZES.get(kind, "B"))
+            layout = struct.Struct("<" + _SIZES.get(self.bases.get(kind, kind), "B"))
             if offset + layout.size > len(payload):
                 break
             number = layout.unpack_from(payload, offset)[0]
@@ -153,11 +155,13 @@ def unpacked(data: bytes) -> bytes:
 def _definitions(document: Any) -> list[tuple[int, Definition]]:
     found = []
     for component, content in document["components"].items():
-        words = {name: _entries(enum) for name, enum in content.get("enums", {}).items()}
+        enums = content.get("enums", {})
+        words = {name: _entries(enum) for name, enum in enums.items()}
+        bases = {name: str(enum.get("type", "uint8_t")) for name, enum in enums.items()}
         for group in content.get("event_groups", {}).values():
             for number, event in group.get("events", {}).items():
-                kinds = tuple(str(a["type"]) for a in event.get("arguments", ()))
-                definition = Definition(str(event["name"]), str(event["message"]), kinds, words)
+                kinds = tuple(str(a["type"]).rpartition("::")[2] for a in event.get("arguments", ()))
+                definition = Definition(str(event["name"]), str(event["message"]), kinds, words, bases)
                 found.append((int(component) << 24 | int(number), definition))
     return found
 

@@ -16,6 +16,7 @@ from drivers.mavlink.channel import Channel, Counts
 from drivers.mavlink.commands import Commander, Notice
 from drivers.mavlink.dialect import message
 from drivers.mavlink.events import EventTexts
+from drivers.mavlink.ftp import EventFiles
 from drivers.mavlink.frames import Bridge, Pose, Vector, about_up, plus, swap, turned_yaw
 from drivers.mavlink.offboard import ENGAGE, Offboard
 from drivers.mavlink.parameter_check import Expected, ParameterCheck
@@ -91,6 +92,7 @@ class VehicleLink:
         self.resets = ResetWatch()
         self.offboard = Offboard()
         self._commander = Commander(*self._target)
+        self.files = EventFiles(self.texts, self._target)
         self._check = ParameterCheck(self.settings.parameters, *self._target)
         self._log = log
         self._out: list[bytes] = []
@@ -159,10 +161,22 @@ class VehicleLink:
         self._wish(now_s)
         self._ask(now_s)
         self._run_commands(now_s)
-        for request in self._check.requests(now_s) if self.state.alive(now_s) else ():
-            self._send(request)
+        self._read_up(now_s)
         if (sample := self.feed.next(now_s)) is not None:
             self._send(sample)
+
+    def _read_up(self, now_s: float) -> None:
+        """Parameters first; then, on the ground, the texts of the vehicle's events."""
+        if not self.state.alive(now_s):
+            return
+        for request in self._check.requests(now_s):
+            self._send(request)
+        if self._check.done and self.state.on_ground and not self.files.done:
+            ask, request = self.files.step(now_s)
+            if ask:
+                self._command(commands.REQUEST, float(message["COMPONENT_METADATA"].id))
+            if request is not None:
+                self._send(request)
 
     def flush(self) -> bytes:
         """The second half of `step`: everything that is to be sent."""
@@ -179,6 +193,10 @@ class VehicleLink:
                 self._commander.acknowledge(now_s, packet)
             case "PARAM_VALUE":
                 self._check.note(packet)
+            case "COMPONENT_METADATA":
+                self.files.note_metadata(packet)
+            case "FILE_TRANSFER_PROTOCOL":
+                self.files.note_file(packet)
             case "ODOMETRY" if self.state.position is not None:
                 self.resets.note(now_s, self.state.position, self.state.velocity, packet.reset_counter)
 

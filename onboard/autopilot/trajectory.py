@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from onboard.autopilot.settings import FlightSettings
-from onboard.autopilot.vectors import Vector, clamp, dot, lerp, norm, scale, sub, unit
+from onboard.autopilot.vectors import Vector, add, clamp, dot, lerp, norm, scale, sub, unit
 
 SPACING_M = 0.25
 ARC_POINTS = 8
@@ -52,8 +52,10 @@ class Trajectory:
         samples = _spaced(_rounded(_distinct(points, clearances), settings.corner_m))
         self._samples = _until_forbidden(samples, settings)
         self._along = [0.0]
+        self._directions: list[Vector] = []
         for before, after in zip(self._samples, self._samples[1:], strict=False):
             self._along.append(self._along[-1] + math.dist(before.position, after.position))
+            self._directions.append(unit(sub(after.position, before.position)))
         self._speeds = self._profile(speed)
 
     @property
@@ -96,20 +98,15 @@ class Trajectory:
         return settings.speed_m_s * share
 
     def _steep(self, i: int) -> float:
-        """Climbing and sinking have their own limit."""
-        j = min(i, len(self._samples) - 2)
-        if j < 0:
-            return self._settings.speed_m_s
-        rise = unit(sub(self._samples[j + 1].position, self._samples[j].position))[2]
-        return self._settings.climb_m_s / max(abs(rise), 1e-6)
+        """Climbing and sinking have their own limit, before and after a sample."""
+        rise = max((abs(self._directions[j][2]) for j in (i - 1, i) if 0 <= j < len(self._directions)), default=0.0)
+        return self._settings.climb_m_s / max(rise, 1e-6)
 
     def _curved(self, i: int) -> float:
-        before, here, after = (sample.position for sample in self._samples[i - 1 : i + 2])
-        first, second = sub(here, before), sub(after, here)
-        bend = norm(sub(unit(second), unit(first)))
+        bend = math.dist(self._directions[i - 1], self._directions[i])
         if bend < 1e-6:
             return math.inf
-        reach = (norm(first) + norm(second)) / 2
+        reach = (self._along[i + 1] - self._along[i - 1]) / 2
         return math.sqrt(self._settings.acceleration_m_s2 * reach / bend)
 
     def at(self, along_m: float) -> Moment:
@@ -123,9 +120,14 @@ class Trajectory:
         share = clamp((along_m - self._along[i]) / gap, 0.0, 1.0)
         low, high = self._speeds[i], self._speeds[i + 1]
         speed = math.sqrt(max(0.0, low**2 + (high**2 - low**2) * share))
-        direction = scale(sub(after.position, before.position), 1.0 / gap)
+        direction = unit(lerp(self._tangent(i), self._tangent(i + 1), share))
         clearance = before.clearance_m + (after.clearance_m - before.clearance_m) * share
         return Moment(lerp(before.position, after.position, share), scale(direction, speed), clearance)
+
+    def _tangent(self, i: int) -> Vector:
+        """Direction of the motion at a sample, between those before and after it."""
+        before, after = max(0, i - 1), min(i, len(self._directions) - 1)
+        return unit(add(self._directions[before], self._directions[after]))
 
     def advanced(self, along_m: float, dt_s: float) -> float:
         """Where along the path the motion is `dt_s` after it was at `along_m`."""

@@ -13,6 +13,7 @@ from simulation.px4.autopilot import Autopilot
 from simulation.px4.body import wrap
 from simulation.px4.commander import ACCEPTED, FAILED, FORCE, UNSUPPORTED
 from simulation.px4.control import NAN, Target
+from simulation.px4.files import FileServer
 from simulation.px4.parameters import from_wire, to_wire
 from simulation.px4.telemetry import Link
 
@@ -51,7 +52,7 @@ class Receiver:
 
     def __init__(self, autopilot: Autopilot, link: Link, system: int) -> None:
         self._autopilot, self._link, self._system = autopilot, link, system
-        self._clock = ClockOffset()
+        self._clock, self._files = ClockOffset(), FileServer()
         self._handlers: dict[str, Callable[[Any], None]] = {
             "HEARTBEAT": self._heartbeat,
             "TIMESYNC": self._timesync,
@@ -65,6 +66,7 @@ class Receiver:
             "PARAM_REQUEST_LIST": self._param_list,
             "PARAM_SET": self._param_set,
             "PING": self._ping,
+            "FILE_TRANSFER_PROTOCOL": self._file,
         }
 
     def handle(self, packet: Any) -> None:
@@ -131,6 +133,11 @@ class Receiver:
             source = (packet.get_srcSystem(), packet.get_srcComponent())
             self._link.send(message["PING"](packet.time_usec, packet.seq, *source))
 
+    def _file(self, packet: Any) -> None:
+        source = (packet.get_srcSystem(), packet.get_srcComponent())
+        answer = self._files.answer(packet.payload)
+        self._link.send(message["FILE_TRANSFER_PROTOCOL"](0, *source, answer))
+
     def _command_int(self, packet: Any) -> None:
         packet.param5, packet.param6, packet.param7 = packet.x, packet.y, packet.z
         self._command(packet)
@@ -186,6 +193,9 @@ class Receiver:
             version = (VERSION_CAPABILITIES, 0x011100FF, 0, 0, 0)
             hashes = ([0] * 8, [0] * 8, [0] * 8)
             self._link.send(message["AUTOPILOT_VERSION"](*version, *hashes, 0x26AC, 0x0010, self._system))
+            return ACCEPTED
+        if number == message["COMPONENT_METADATA"].id:
+            self._link.send(self._files.metadata(self._autopilot.boot_ms))
             return ACCEPTED
         return ACCEPTED if self._link.request(number, self._autopilot) else UNSUPPORTED
 
