@@ -1,4 +1,4 @@
-"""One end of a MAVLink 2 link: bytes to messages and back, signed if a key is there, with counts of the rest."""
+"""One end of a MAVLink 2 link: bytes to messages and back, signed if a key is there; counts of the rest."""
 
 from __future__ import annotations
 
@@ -7,7 +7,9 @@ from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from typing import Any
 
-from drivers.mavlink.dialect import common
+from pymavlink.dialects.v20 import common
+
+import drivers.mavlink.dialect  # noqa: F401 - completes the table of messages
 from drivers.mavlink.signing import BLOCK_BYTES, Signer, Verdict
 
 MAGIC = 0xFD

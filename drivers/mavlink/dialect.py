@@ -64,7 +64,9 @@ def declare(number: int, name: str, texts: tuple[str, ...]) -> type:
     wire = sorted(fields, key=lambda field: -struct.calcsize(FORMATS[field[0]]))
     names = [field for _, _, field in fields]
     wire_names = [field for _, _, field in wire]
-    layout = "<" + "".join(f"{length or ''}{'s' if kind == 'char' else FORMATS[kind]}" for kind, length, _ in wire)
+    layout = "<" + "".join(
+        f"{length or ''}{'s' if kind == 'char' else FORMATS[kind]}" for kind, length, _ in wire
+    )
 
     def build(self: Any, *values: Any) -> None:
         common.MAVLink_message.__init__(self, number, name)

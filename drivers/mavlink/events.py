@@ -1,7 +1,7 @@
 """Events of a PX4: numbers to words, so that a refusal tells its reason.
 
-An event's number is its component (1 for the autopilot) and 24 bits of the FNV-1a hash of its name. The texts of
-the events that decide a flight are kept here; a vehicle's own metadata (all_events.json) completes them.
+An event's number is its component (1 for the autopilot) and 24 bits of the FNV-1a hash of its name. The texts
+of the events that decide a flight are kept here; a vehicle's own metadata (all_events.json) completes them.
 """
 
 from __future__ import annotations

@@ -1,6 +1,7 @@
 """Files of the vehicle over MAVLink FTP: as much of it as reading its metadata takes.
 
-One request at a time, sent again when nothing comes; a file longer than `SIZE_MAX` is refused (MAVLink guide: FTP).
+One request at a time, sent again when nothing comes; a file longer than `SIZE_MAX` is refused (MAVLink guide:
+FTP).
 """
 
 from __future__ import annotations
@@ -50,7 +51,9 @@ class Frame:
     def pack(self) -> list[int]:
         """The 251 bytes."""
         size = len(self.data) if self.size is None else self.size
-        head = HEADER.pack(self.sequence & 0xFFFF, self.session, self.opcode, size, self.request, 0, self.offset)
+        head = HEADER.pack(
+            self.sequence & 0xFFFF, self.session, self.opcode, size, self.request, 0, self.offset
+        )
         return list((head + self.data).ljust(PAYLOAD_BYTES, b"\0"))
 
     @staticmethod
@@ -132,7 +135,7 @@ class FileReader:
 
 
 class EventFiles:
-    """Finds and reads the texts of a vehicle's events: general metadata first, which names the file of the events."""
+    """Finds and reads the texts of a vehicle's events: first the file that names theirs, then theirs."""
 
     ASK_S, ASKS = 1.0, 4
 

@@ -1,7 +1,7 @@
 """The link to a PX4 as a pure state machine: bytes and the clock in, bytes out.
 
-Frames of the callers: map (east, north, up), yaw counter-clockwise from east. Nothing here repeats a setpoint: each
-one that goes out was handed in, so a planner that hangs is a stream that ends.
+Frames of the callers: map (east, north, up), yaw counter-clockwise from east. Nothing here repeats a
+setpoint: each one that goes out was handed in, so a planner that hangs is a stream that ends.
 """
 
 from __future__ import annotations
@@ -16,42 +16,20 @@ from drivers.mavlink.channel import Channel, Counts
 from drivers.mavlink.commands import Commander, Notice
 from drivers.mavlink.dialect import message
 from drivers.mavlink.events import EventTexts
-from drivers.mavlink.ftp import EventFiles
 from drivers.mavlink.frames import Bridge, Pose, Vector, about_up, plus, swap, turned_yaw
+from drivers.mavlink.ftp import EventFiles
 from drivers.mavlink.offboard import ENGAGE, Offboard
 from drivers.mavlink.parameter_check import Expected, ParameterCheck
 from drivers.mavlink.pose_feed import FeedSettings, PoseFeed, ResetWatch
 from drivers.mavlink.signing import Signer
 from drivers.mavlink.vehicle_state import PREDICTED, StateFolder, VehicleState
+from drivers.mavlink.wishes import Wishes
 
 ONBOARD_CONTROLLER, INVALID_AUTOPILOT, ACTIVE = 18, 8, 4
 HEARTBEAT_S = 1.0
 LOCAL_NED = 1
 USE_ALL = 0
 """type_mask: position, velocity, acceleration, yaw and yaw rate all count."""
-WISH_S = 0.02
-WISH_AGAIN_S = 2.0
-ASK_S = 0.25
-RATES_HZ: dict[str, float] = {
-    "EXTENDED_SYS_STATE": 10.0,
-    "CURRENT_MODE": 5.0,
-    "ESTIMATOR_STATUS": 5.0,
-    "ODOMETRY": 20.0,
-    "POSITION_TARGET_LOCAL_NED": 5.0,
-    "SYS_STATUS": 1.0,
-    "ATTITUDE": 0.0,
-    "ATTITUDE_QUATERNION": 0.0,
-    "HIGHRES_IMU": 0.0,
-    "LOCAL_POSITION_NED": 0.0,
-    "GLOBAL_POSITION_INT": 0.0,
-    "ALTITUDE": 0.0,
-    "DISTANCE_SENSOR": 0.0,
-    "ATTITUDE_TARGET": 0.0,
-    "SERVO_OUTPUT_RAW": 0.0,
-    "VFR_HUD": 0.0,
-}
-"""What the link needs of the vehicle, and what only fills a serial line (0: off)."""
-FIRST_ASKED = ("CURRENT_MODE", "EXTENDED_SYS_STATE", "ODOMETRY", "POSITION_TARGET_LOCAL_NED")
 ANCHOR_S = 0.5
 """So long a new link waits for the vehicle's own estimate before it streams poses."""
 ANCHOR_M, ANCHOR_RAD = 0.3, 0.2
@@ -74,8 +52,8 @@ class LinkSettings:
 class VehicleLink:
     """One vehicle at the other end of a wire.
 
-    `step` is called often (50 Hz and more) with what was received; between the calls poses, setpoints and commands
-    are handed in. `log` gets every frame in both directions.
+    `step` is called often (50 Hz and more) with what was received; between the calls poses, setpoints and
+    commands are handed in. `log` gets every frame in both directions.
     """
 
     def __init__(
@@ -99,9 +77,8 @@ class VehicleLink:
         self._notices: list[Notice] = []
         self._now_s = 0.0
         self._begun_s = math.inf
-        self._heartbeat_s = self._wish_s = self._ask_s = self._setpoint_s = -math.inf
-        self._wishes: list[tuple[str, float]] = list(RATES_HZ.items())
-        self._wished_again = False
+        self._heartbeat_s = self._setpoint_s = -math.inf
+        self._wishes = Wishes(self._target)
         self.synced = 0
 
     @property
@@ -150,7 +127,7 @@ class VehicleLink:
         return self.flush()
 
     def receive(self, now_s: float, data: bytes = b"") -> None:
-        """The first half of `step`: setpoints and commands that follow still go out with this step's `flush`."""
+        """The first half of `step`: setpoints and commands that follow still go out with its `flush`."""
         self._begun_s = min(self._begun_s, now_s)
         self._now_s = now_s
         for frame, packet in self._channel.receive_frames(data):
@@ -158,8 +135,8 @@ class VehicleLink:
                 self._write(frame)
                 self._take(now_s, packet)
         self._beat(now_s)
-        self._wish(now_s)
-        self._ask(now_s)
+        for packet in self._wishes.step(now_s, self.state):
+            self._send(packet)
         self._run_commands(now_s)
         self._read_up(now_s)
         if (sample := self.feed.next(now_s)) is not None:
@@ -204,24 +181,6 @@ class VehicleLink:
         if now_s - self._heartbeat_s >= HEARTBEAT_S:
             self._heartbeat_s = now_s
             self._send(message["HEARTBEAT"](ONBOARD_CONTROLLER, INVALID_AUTOPILOT, 0, 0, ACTIVE, 3))
-
-    def _wish(self, now_s: float) -> None:
-        """Ask for the rates that we need, one by one, and once more later, for a wish may be lost."""
-        if self._wishes and now_s - self._wish_s >= WISH_S:
-            self._wish_s = now_s
-            name, rate = self._wishes.pop(0)
-            interval_us = 1e6 / rate if rate else -1.0
-            self._command(commands.SET_INTERVAL, float(message[name].id), interval_us)
-        elif not self._wishes and not self._wished_again and now_s - self._wish_s > WISH_AGAIN_S:
-            self._wishes, self._wished_again = list(RATES_HZ.items()), self.state.alive(now_s)
-
-    def _ask(self, now_s: float) -> None:
-        """Right after the start: which mode, and does it fly? Who was restarted in flight must know at once."""
-        missing = self.state.mode is None or self.state.landed_state is None
-        if missing and now_s - self._ask_s >= ASK_S:
-            self._ask_s = now_s
-            for name in FIRST_ASKED:
-                self._command(commands.REQUEST, float(message[name].id))
 
     def _run_commands(self, now_s: float) -> None:
         followed = self.offboard.step(now_s, self.state, self._commander)

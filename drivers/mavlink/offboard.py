@@ -1,7 +1,7 @@
 """The stream of setpoints: when it may run, and when it ends.
 
-It runs from `engage` on, ends at any change of mode that nobody here asked for, and never begins again by itself:
-setpoints that come back after a failsafe would make a PX4 return to OFFBOARD, even from the ground.
+It runs from `engage` on, ends at any change of mode that nobody here asked for, and never begins again by
+itself: setpoints that come back after a failsafe would make a PX4 return to OFFBOARD, even from the ground.
 """
 
 from __future__ import annotations

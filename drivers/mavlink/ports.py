@@ -93,7 +93,7 @@ class SerialPort:
 
 
 def open_port(address: str) -> Port:
-    """A port from text: `udp:PORT`, `udp:PORT:HOST:PORT` (local port, then the vehicle's), `serial:DEVICE:BAUD`.
+    """A port from text: `udp:PORT`, `udp:PORT:HOST:PORT` (ours, then the vehicle's), `serial:DEVICE:BAUD`.
 
     Raises InputError for any other text.
     """

@@ -1,11 +1,11 @@
 """Our pose for the vehicle's estimator: a steady stream of ODOMETRY that never jumps.
 
-Between scans the pose is predicted, and every sample is of the moment in which it is sent. So it is right both
-before TIMESYNC has converged, when a PX4 takes the time of arrival for the sample's, and after, when the stamp
-counts: no delay is left to be configured (EKF2_EV_DELAY 0).
+Between scans the pose is predicted, and every sample is of the moment in which it is sent. So it is right
+both before TIMESYNC has converged, when a PX4 takes the time of arrival for the sample's, and after, when the
+stamp counts: no delay is left to be configured (EKF2_EV_DELAY 0).
 
-A jump of the source (a closed loop, a new estimate) moves the map, not the robot. It goes into a bridge between the
-two frames; the vehicle sees no jump, and setpoints go over the same bridge.
+A jump of the source (a closed loop, a new estimate) moves the map, not the robot. It goes into a bridge
+between the two frames; the vehicle sees no jump, and setpoints go over the same bridge.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ EPOCH_UNIX_S = 1_420_070_400
 NEW_STREAM_BEHIND = 60 * UNITS_PER_S
 """A sender that was not heard before may be this much behind the newest stamp."""
 RESERVED_S = 20.0
-"""The stored stamp runs ahead of the used one by up to this, so that a kill never lets a stamp be used twice."""
+"""The stored stamp runs ahead of the used one by up to this: after a kill no stamp is used twice."""
 
 
 class Verdict(Enum):

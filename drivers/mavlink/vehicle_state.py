@@ -27,7 +27,7 @@ SUMMARIES = {event_number("commander_arming_check_summary"), event_number("comma
 
 @dataclass
 class VehicleState:
-    """The newest of everything; None and -inf where nothing came yet. Positions in the vehicle's frame, ENU."""
+    """The newest of everything; None and -inf where nothing came yet. Positions: vehicle's frame, ENU."""
 
     heard_s: float = -math.inf
     heartbeat_s: float = -math.inf

@@ -11,6 +11,7 @@ from collections.abc import Callable
 
 from onboard.autopilot.inputs import Action, Drive, Gate, Inputs, Order, Outputs, Path, Phase, Wish
 from onboard.autopilot.reference import Aim, Reference
+from onboard.autopilot.senses import Senses
 from onboard.autopilot.settings import FlightSettings
 from onboard.autopilot.shaper import Shaper
 from onboard.autopilot.take_off import TakeOff
@@ -34,7 +35,7 @@ class AutopilotCore:
         self.reference = Reference(settings)
         self.shaper = Shaper(settings, allow, allow_hold)
         self._take_off: TakeOff | None = None
-        self._begun_s: float | None = None
+        self._senses = Senses(settings)
         self._last_s: float | None = None
         self._since_s = -math.inf
         self._decided = False
@@ -57,8 +58,8 @@ class AutopilotCore:
     def step(self, inputs: Inputs) -> Outputs:
         """One cycle."""
         now_s = inputs.now_s
-        if self._begun_s is None:
-            self._begun_s = now_s
+        if self._last_s is None:
+            self._senses.begin(now_s)
             self._jumps = inputs.vehicle.map_jumps
         dt_s = 0.0 if self._last_s is None else min(STEP_MAX_S, now_s - self._last_s)
         self._last_s, self._actions, self._notes = now_s, [], []
@@ -72,6 +73,7 @@ class AutopilotCore:
 
     def _go(self, inputs: Inputs, phase: Phase, note: str = "") -> None:
         self.phase, self._since_s, self._acted = phase, inputs.now_s, {}
+        self._senses.since_s = inputs.now_s
         if note:
             self._notes.append(note)
 
@@ -86,9 +88,7 @@ class AutopilotCore:
         if inputs.vehicle.map_jumps == self._jumps:
             return
         self._jumps = inputs.vehicle.map_jumps
-        self.shaper.forget()
-        if inputs.pose is not None:
-            self.reference.start(inputs.pose.position, inputs.pose.velocity, inputs.pose.yaw)
+        self._restart(inputs)
         if self._take_off is not None and inputs.pose is not None:
             self._take_off.rebase(inputs.pose)
         self._notes.append("the map has moved: holding until there is a new path")
@@ -97,10 +97,10 @@ class AutopilotCore:
     def _obey(self, inputs: Inputs) -> None:
         """Carry out an order once, if it is new and was given after this process began."""
         order = inputs.order
-        if order is None or order.issued_s <= self._order_s or self._begun_s is None:
+        if order is None or order.issued_s <= self._order_s:
             return
         self._order_s = order.issued_s
-        if order.issued_s < self._begun_s or inputs.now_s - order.issued_s > ORDER_S:
+        if order.issued_s < self._senses.begun_s or inputs.now_s - order.issued_s > ORDER_S:
             self._notes.append(f"order '{order.wish.value}' is too old and was not carried out")
             return
         match order.wish:
@@ -117,7 +117,8 @@ class AutopilotCore:
 
     def _order_take_off(self, inputs: Inputs, order: Order) -> None:
         vehicle, pose = inputs.vehicle, inputs.pose
-        if self.phase is not Phase.IDLE or not vehicle.on_ground or pose is None or not self._sees(inputs):
+        standing = self.phase is Phase.IDLE and vehicle.on_ground
+        if not standing or pose is None or not self._senses.sees(inputs):
             self._notes.append("take-off refused: not on the ground, or pose missing")
         elif not vehicle.ready:
             self._notes.append("take-off refused: the vehicle link is not ready")
@@ -127,7 +128,7 @@ class AutopilotCore:
             self._go(inputs, Phase.ENGAGING, "take-off: engaging")
 
     def _order_resume(self, inputs: Inputs) -> None:
-        if not (inputs.vehicle.in_air and self._sees(inputs) and self._guided(inputs)):
+        if not (inputs.vehicle.in_air and self._senses.sees(inputs) and self._senses.guided(inputs)):
             self._notes.append("resume refused: not in the air, or pose or planner missing")
             return
         self._take_off = None
@@ -139,25 +140,10 @@ class AutopilotCore:
         if inputs.pose is not None:
             self.reference.start(inputs.pose.position, inputs.pose.velocity, inputs.pose.yaw)
 
-    def _sees(self, inputs: Inputs) -> bool:
-        return inputs.pose is not None and inputs.now_s - inputs.pose.stamp_s < self.settings.hold_after_s
-
-    def _guided(self, inputs: Inputs) -> bool:
-        return self._silence_s(inputs) < self.settings.hold_after_s
-
-    def _silence_s(self, inputs: Inputs) -> float:
-        """For how long the planner has said nothing; who has just begun has not missed anything yet."""
-        spoken_s = inputs.guidance.stamp_s if inputs.guidance is not None else -math.inf
-        return inputs.now_s - max(spoken_s, self._since_s)
-
-    def _blindness_s(self, inputs: Inputs) -> float:
-        seen_s = inputs.pose.stamp_s if inputs.pose is not None else -math.inf
-        return inputs.now_s - max(seen_s, self._begun_s or 0.0)
-
     def _emit(self, inputs: Inputs, aim: Aim) -> Setpoint | None:
         """The setpoint of an aim. Blind, the robot is where the vehicle believes it is, and only holds."""
         pose, vehicle = inputs.pose, inputs.vehicle
-        if pose is not None and self._sees(inputs):
+        if pose is not None and self._senses.sees(inputs):
             return self.shaper.shape(inputs.now_s, aim, pose.position, pose.stamp_s)
         if vehicle.position is None:
             return None
@@ -168,20 +154,17 @@ class AutopilotCore:
         """On the ground, or just started: in flight the stream goes on, holding, before anything else."""
         vehicle = inputs.vehicle
         if vehicle.known and not self._decided:
-            if vehicle.offboard and vehicle.in_air and self._blindness_s(inputs) > self.settings.stop_after_s:
-                self._decided = True
-                self._go(inputs, Phase.LOST, "started in flight without a pose")
-            elif vehicle.offboard and vehicle.in_air:
+            blind = self._senses.blindness_s(inputs) > self.settings.stop_after_s
+            if vehicle.offboard and vehicle.in_air and not blind:
                 return self._adopt(inputs, dt_s)
-            else:
-                self._decided = True
-                if vehicle.in_air:
-                    self._go(inputs, Phase.LOST, "started in flight; the vehicle flies by itself")
+            self._decided = True
+            if vehicle.in_air:
+                self._go(inputs, Phase.LOST, "started in flight, without pose or offboard")
         return None
 
     def _adopt(self, inputs: Inputs, dt_s: float) -> Setpoint | None:
         pose, vehicle = inputs.pose, inputs.vehicle
-        if not self._sees(inputs) or pose is None:
+        if not self._senses.sees(inputs) or pose is None:
             return None
         self._decided = True
         self._actions.append(Action.ADOPT)
@@ -249,14 +232,15 @@ class AutopilotCore:
             self._give_up(inputs, note)
 
     def _give_up(self, inputs: Inputs, note: str) -> None:
-        """Stop the stream and the rotors; in the air a vehicle refuses the latter and its failsafe lands it."""
+        """Stop stream and rotors; in the air a vehicle refuses the latter, and its failsafe lands it."""
         self._take_off = None
         self._actions += [Action.STOP, Action.DISARM]
         self._go(inputs, Phase.LOST if inputs.vehicle.in_air else Phase.IDLE, note)
 
     def _silent(self, inputs: Inputs, guided: bool) -> bool:
         """End the stream if pose or planner have been silent for too long."""
-        blind_s, silence_s = self._blindness_s(inputs), self._silence_s(inputs) if guided else 0.0
+        blind_s = self._senses.blindness_s(inputs)
+        silence_s = self._senses.silence_s(inputs) if guided else 0.0
         if max(blind_s, silence_s) <= self.settings.stop_after_s:
             return False
         who = "pose" if blind_s > self.settings.stop_after_s else "planner"
@@ -272,9 +256,9 @@ class AutopilotCore:
             return None
         if self._silent(inputs, guided=True):
             return None
-        sees = self._sees(inputs)
-        motion = inputs.guidance.motion if inputs.guidance is not None and self._guided(inputs) else None
-        if not sees or motion is None or not motion.usable or (inputs.guidance and inputs.guidance.stamp_s <= self._map_s):
+        sees = self._senses.sees(inputs)
+        motion = self._motion(inputs)
+        if not sees or motion is None:
             self.reference.hold()
         elif isinstance(motion, Path):
             self.reference.follow(motion)
@@ -282,6 +266,14 @@ class AutopilotCore:
             self.reference.drive(motion)
         self.reference.step(dt_s, inputs.pose if sees else None)
         return self._emit(inputs, self.reference.aim())
+
+    def _motion(self, inputs: Inputs) -> Path | Drive | None:
+        """What the planner wants, if it is fresh, of the map as it is now, and makes sense."""
+        guidance = inputs.guidance
+        if guidance is None or not self._senses.guided(inputs) or guidance.stamp_s <= self._map_s:
+            return None
+        motion = guidance.motion
+        return motion if motion is not None and motion.usable else None
 
     def _landing(self, inputs: Inputs, dt_s: float) -> Setpoint | None:
         """The vehicle lands by itself; setpoints hold until it has taken over."""
@@ -295,14 +287,10 @@ class AutopilotCore:
         if not vehicle.streaming:
             return None
         self.reference.hold()
-        self.reference.step(dt_s, inputs.pose if self._sees(inputs) else None)
+        self.reference.step(dt_s, inputs.pose if self._senses.sees(inputs) else None)
         return self._emit(inputs, self.reference.aim())
 
     def _lost(self, inputs: Inputs, dt_s: float) -> Setpoint | None:
         if inputs.vehicle.on_ground and inputs.vehicle.armed is False:
             self._go(inputs, Phase.IDLE, "on the ground")
         return None
-
-    def place(self) -> Vector:
-        """Where the robot should be now."""
-        return self.reference.position

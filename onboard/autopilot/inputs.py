@@ -12,7 +12,6 @@ from onboard.autopilot.vectors import Vector
 from onboard.safety import Verdict
 from onboard.safety_facts import FlightFacts, FlightLimits, Setpoint
 
-
 POINTS_MAX, LENGTH_MAX_M = 1000, 1000.0
 
 

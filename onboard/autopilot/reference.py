@@ -1,8 +1,9 @@
 """Where the robot should be now, and the setpoint that makes it be there.
 
-A multirotor under position and velocity setpoints trails them for two reasons. Its attitude lags: setpoints are those
-of the motion `lag_s` later. And drag wants thrust before any error builds up: acceleration is fed forward, that of the
-motion and that of the drag, whose coefficient is learned from the error that remains along the way.
+A multirotor under position and velocity setpoints trails them for two reasons. Its attitude lags: setpoints
+are those of the motion `lag_s` later. And drag wants thrust before any error builds up: acceleration is fed
+forward, that of the motion and that of the drag, whose coefficient is learned from the error that remains
+along the way.
 """
 
 from __future__ import annotations
@@ -162,7 +163,9 @@ class Reference:
         if self._trajectory is None:
             position = add(self.position, scale(self.velocity, lag_s))
             push = scale(self.velocity, self.drag_1_s)
-            return Aim(position, self.velocity, self.yaw, self._drive.clearance_m if self._drive else None, push)
+            return Aim(
+                position, self.velocity, self.yaw, self._drive.clearance_m if self._drive else None, push
+            )
         along_m = self._trajectory.advanced(self._along_m, lag_s * self._rate)
         moment = self._trajectory.at(along_m)
         after = self._trajectory.at(self._trajectory.advanced(along_m, AHEAD_S))

@@ -82,7 +82,9 @@ def parse_settings(table: dict[str, Any], origin: str) -> FlightSettings:
     for name in ("fence_x_m", "fence_y_m", "altitude_m"):
         low, high = getattr(settings, name)
         if not low < high:
-            raise ConfigError(f"{origin}: {name} = ({low:g}, {high:g}): the lower bound must be below the upper")
+            raise ConfigError(
+                f"{origin}: {name} = ({low:g}, {high:g}): the lower bound must be below the upper"
+            )
     if settings.stop_after_s <= settings.hold_after_s:
         raise ConfigError(f"{origin}: stop_after_s = {settings.stop_after_s:g}: must be above hold_after_s")
     return settings

@@ -1,11 +1,12 @@
 """A path as a motion: corners rounded, speeds that can be braked from, slow where it is narrow.
 
-Speeds follow from two passes over the samples (v^2 <= v0^2 + 2 a s forward and backward) under limits per sample:
-lateral acceleration v^2 k <= a at curvature k, and the distance to what is occupied.
+Speeds follow from two passes over the samples (v^2 <= v0^2 + 2 a s forward and backward) under limits per
+sample: lateral acceleration v^2 k <= a at curvature k, and the distance to what is occupied.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from bisect import bisect_right
 from collections.abc import Sequence
@@ -46,7 +47,11 @@ class Trajectory:
     """
 
     def __init__(
-        self, settings: FlightSettings, points: Sequence[Vector], clearances: Sequence[float], speed: float = 0.0
+        self,
+        settings: FlightSettings,
+        points: Sequence[Vector],
+        clearances: Sequence[float],
+        speed: float = 0.0,
     ) -> None:
         self._settings = settings
         samples = _spaced(_rounded(_distinct(points, clearances), settings.corner_m))
@@ -99,7 +104,9 @@ class Trajectory:
 
     def _steep(self, i: int) -> float:
         """Climbing and sinking have their own limit, before and after a sample."""
-        rise = max((abs(self._directions[j][2]) for j in (i - 1, i) if 0 <= j < len(self._directions)), default=0.0)
+        rise = max(
+            (abs(self._directions[j][2]) for j in (i - 1, i) if 0 <= j < len(self._directions)), default=0.0
+        )
         return self._settings.climb_m_s / max(rise, 1e-6)
 
     def _curved(self, i: int) -> float:
@@ -143,7 +150,7 @@ class Trajectory:
 def projection(points: Sequence[Vector], place: Vector) -> tuple[int, Vector]:
     """The place of a polyline that is nearest to `place`, and the index of the point before it."""
     best, found = math.inf, (0, points[0])
-    for i, (a, b) in enumerate(zip(points, points[1:], strict=False)):
+    for i, (a, b) in enumerate(itertools.pairwise(points)):
         way = sub(b, a)
         share = clamp(dot(sub(place, a), way) / max(dot(way, way), 1e-12), 0.0, 1.0)
         near = lerp(a, b, share)
@@ -182,7 +189,7 @@ def _rounded(corners: list[_Sample], reach_m: float) -> list[_Sample]:
 def _spaced(samples: list[_Sample]) -> list[_Sample]:
     """No two samples farther apart than SPACING_M."""
     found = samples[:1]
-    for before, after in zip(samples, samples[1:], strict=False):
+    for before, after in itertools.pairwise(samples):
         pieces = max(1, math.ceil(math.dist(before.position, after.position) / SPACING_M))
         for k in range(1, pieces + 1):
             share = k / pieces

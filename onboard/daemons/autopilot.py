@@ -13,7 +13,7 @@ import sys
 import time
 import tomllib
 from pathlib import Path as FilePath
-from typing import Annotated, Any
+from typing import Annotated, Any, BinaryIO
 
 import msgspec
 
@@ -98,7 +98,7 @@ class Daemon:
         self._inbox = Inbox(FilePath(settings.inbox))
         self._outbox = Outbox(FilePath(settings.status))
         self._signer = load_signer(FilePath(settings.key), time.time()) if settings.key else None
-        self._tlog = FilePath(settings.tlog).open("ab") if settings.tlog else None
+        self._tlog = _appended(FilePath(settings.tlog)) if settings.tlog else None
         self.pilot = Pilot(AutopilotCore(flight), self._link(), report)
         self._notifier = Notifier()
         self._status_s = self._allowed_s = 0.0
@@ -179,7 +179,15 @@ def report(now_s: float, text: str) -> None:
     sys.stderr.flush()
 
 
-def _end(number: int, frame: object) -> None:
+def _appended(path: FilePath) -> BinaryIO:
+    """A log to append to. Raises ConfigError."""
+    try:
+        return path.open("ab")
+    except OSError as error:
+        raise ConfigError(f"tlog = '{path}': {error.strerror}") from error
+
+
+def _end(*_: object) -> None:
     raise KeyboardInterrupt
 
 

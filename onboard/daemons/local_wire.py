@@ -1,6 +1,7 @@
 """Messages between the processes of one robot: msgpack datagrams over a Unix socket, newest wins.
 
-Stamps are of CLOCK_MONOTONIC, which all processes of a machine share. What does not decode is counted and dropped.
+Stamps are of CLOCK_MONOTONIC, which all processes of a machine share. What does not decode is counted and
+dropped.
 """
 
 from __future__ import annotations

@@ -141,7 +141,7 @@ class Autopilot:
             self.send_event("commander_landing_detected")
 
     def set_origin(self, latitude_deg: float, longitude_deg: float, altitude_m: float) -> None:
-        """SET_GPS_GLOBAL_ORIGIN: home appears; on the ground the position is not believed for some seconds."""
+        """SET_GPS_GLOBAL_ORIGIN: home appears; on the ground the position is not believed for a while."""
         status = self.status
         status.origin = (latitude_deg, longitude_deg, altitude_m)
         x, y, z = self.estimator.position

@@ -1,7 +1,7 @@
 """What the simulated autopilot believes: inertial prediction, corrected by external vision.
 
-The behaviour (which samples count, when flags drop, when a jump becomes a reset) is what a PX4 v1.17 showed on
-the wire; the filter itself is a second-order observer, not PX4's covariances.
+The behaviour (which samples count, when flags drop, when a jump becomes a reset) is what a PX4 v1.17 showed
+on the wire; the filter itself is a second-order observer, not PX4's covariances.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Estimator:
         self._remember(now_s)
 
     def hold_height(self, now_s: float, height: float, dt_s: float) -> None:
-        """Hear the barometer, which knows the true `height` (down); while vision leads, its offset is learned."""
+        """The barometer knows the true `height` (down); while vision leads, its offset is learned."""
         if self.aided(now_s):
             self._baro_offset = self.position[2] - height
         elif self._parameters["EKF2_BARO_CTRL"]:
@@ -120,7 +120,7 @@ class Estimator:
         return min(now_s, stamp_s) - delay_s
 
     def _height(self, vision: Vision, in_air: bool) -> float:
-        """A range finder in charge of the height keeps it at the ground while disarmed, and the error stays."""
+        """A range finder in charge keeps the height at the ground while disarmed, and the error stays."""
         if self._parameters["EKF2_RNG_CTRL"] == 1 and not in_air:
             self._range_offset = -0.11 - vision.position[2] if abs(vision.position[2]) > 0.3 else 0.0
         return vision.position[2] + self._range_offset

@@ -146,8 +146,8 @@ class Receiver:
         if packet.target_component not in (0, 1):
             return
         commands: dict[int, Callable[[Any], int]] = {
-            20: lambda p: self._mode(modes.RTL),
-            21: lambda p: self._mode(modes.LAND),
+            20: lambda _: self._mode(modes.RTL),
+            21: lambda _: self._mode(modes.LAND),
             22: self._take_off,
             176: self._set_mode,
             185: lambda p: self._autopilot.terminate() if p.param1 > 0.5 else ACCEPTED,

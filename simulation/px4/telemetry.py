@@ -156,7 +156,7 @@ def system_time(a: Autopilot) -> Any:
     return message["SYSTEM_TIME"](0, a.boot_ms)
 
 
-def mission_current(a: Autopilot) -> Any:
+def mission_current(_: Autopilot) -> Any:
     return message["MISSION_CURRENT"](0, 65_535, 1, 2)
 
 

@@ -23,8 +23,9 @@ PROTOCOL_LEVEL, WARNING_LEVEL, INFO_LEVEL = 8, 4, 6
 class Px4Vehicle:
     """A simulated PX4. The same calls give the same bytes: `seed` is the only source of chance.
 
-    `position` (north, east, down; metres) and `yaw` (rad) are where it stands at first; `parameters` overrides
-    factory values; with `key` (32 bytes) frames are signed with it, and checked if MAV_SIGN_CFG says so.
+    `position` (north, east, down; metres) and `yaw` (rad) are where it stands at first; `parameters`
+    overrides factory values; with `key` (32 bytes) frames are signed with it, and checked if MAV_SIGN_CFG
+    says so.
     """
 
     def __init__(
@@ -58,7 +59,7 @@ class Px4Vehicle:
         return Link(Channel(self.system, COMPONENT, signer), streams)
 
     def step(self, now_s: float, data: bytes = b"") -> bytes:
-        """Take what came over the first link, live on to `now_s` (seconds since the start), give what it sends."""
+        """Take what came over the first link, live on to `now_s` (from the start), give the answer."""
         name = next(iter(self.links))
         return b"".join(self.exchange(now_s, {name: data})[name])
 

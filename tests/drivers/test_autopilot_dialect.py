@@ -24,7 +24,10 @@ def fields_of(kind: type) -> list[tuple[str, int, str]]:
     return list(zip(types, kind.array_lengths, kind.ordered_fieldnames, strict=True))  # type: ignore[attr-defined]
 
 
-@pytest.mark.parametrize("name", ["HEARTBEAT", "ATTITUDE", "COMMAND_LONG", "SET_POSITION_TARGET_LOCAL_NED", "FILE_TRANSFER_PROTOCOL"])
+@pytest.mark.parametrize(
+    "name",
+    ["HEARTBEAT", "ATTITUDE", "COMMAND_LONG", "SET_POSITION_TARGET_LOCAL_NED", "FILE_TRANSFER_PROTOCOL"],
+)
 def test_checksum_bytes_are_those_of_the_generator(name: str) -> None:
     kind = message[name]
     assert crc_extra(name, fields_of(kind)) == kind.crc_extra
@@ -104,7 +107,9 @@ def test_unknown_message_keeps_a_right_checksum_without_its_signature() -> None:
     assert plain[2] == 0
 
 
-@pytest.mark.parametrize("name", ["dronekit_flight_tlog/flight.tlog", "node_mavlink/GH-5.bin", "pymavlink_tests/test.BIN"])
+@pytest.mark.parametrize(
+    "name", ["dronekit_flight_tlog/flight.tlog", "node_mavlink/GH-5.bin", "pymavlink_tests/test.BIN"]
+)
 def test_foreign_bytes_never_raise(name: str) -> None:
     data = capture(name).read_bytes()[:200_000]
     channel = Channel(1, 191)
@@ -112,7 +117,9 @@ def test_foreign_bytes_never_raise(name: str) -> None:
         channel.receive(data[start : start + 997])
 
 
-@given(st.lists(st.one_of(st.binary(max_size=40), st.sampled_from(["frame"])), max_size=30), st.integers(1, 50))
+@given(
+    st.lists(st.one_of(st.binary(max_size=40), st.sampled_from(["frame"])), max_size=30), st.integers(1, 50)
+)
 def test_frames_are_found_in_any_garbage(parts: list[bytes | str], piece: int) -> None:
     """Random bytes before a frame may look like the head of one and hide it, but only until more has come."""
     sender, frames, stream = Channel(1, 1), 0, b""

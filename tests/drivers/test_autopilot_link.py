@@ -161,7 +161,9 @@ def test_arming_is_refused_by_us_while_nothing_is_known() -> None:
     assert "no heartbeat" in link.notices()[0].text
 
 
-@pytest.mark.parametrize("address", ["", "tcp:1", "udp:x", "udp:1:2", "serial:/dev/none:57600", "udp:1:no.such.host.invalid:5"])
+@pytest.mark.parametrize(
+    "address", ["", "tcp:1", "udp:x", "udp:1:2", "serial:/dev/none:57600", "udp:1:no.such.host.invalid:5"]
+)
 def test_addresses_that_are_none(address: str) -> None:
     with pytest.raises(InputError):
         open_port(address)

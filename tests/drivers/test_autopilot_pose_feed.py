@@ -39,7 +39,9 @@ def test_swaps_are_their_own_inverse(place: tuple[float, float, float], yaw: flo
 
 
 @given(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5), ANGLES, PLACES)
-def test_attitude_goes_over_to_ned(roll: float, pitch: float, yaw: float, place: tuple[float, float, float]) -> None:
+def test_attitude_goes_over_to_ned(
+    roll: float, pitch: float, yaw: float, place: tuple[float, float, float]
+) -> None:
     """A vector fixed to the body is the same arrow in both worlds."""
     quaternion = turned(roll, pitch, yaw)
     ned = to_ned(quaternion)
@@ -60,7 +62,11 @@ def test_east_is_yaw_ninety_degrees_in_ned() -> None:
 
 @given(PLACES, ANGLES, PLACES, ANGLES, PLACES)
 def test_bridge_joins_two_poses(
-    a: tuple[float, float, float], turn_a: float, b: tuple[float, float, float], turn_b: float, place: tuple[float, float, float]
+    a: tuple[float, float, float],
+    turn_a: float,
+    b: tuple[float, float, float],
+    turn_b: float,
+    place: tuple[float, float, float],
 ) -> None:
     new, old = Pose(0.0, a, turned(0, 0, turn_a)), Pose(0.0, b, turned(0, 0, turn_b))
     bridge = Bridge.joining(new, old)

@@ -11,14 +11,28 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onboard.autopilot.core import AutopilotCore
-from onboard.autopilot.inputs import Action, Drive, Guidance, Inputs, Order, Outputs, Path, Phase, VehicleFacts, Wish
+from onboard.autopilot.inputs import (
+    Action,
+    Drive,
+    Guidance,
+    Inputs,
+    Order,
+    Outputs,
+    Path,
+    Phase,
+    VehicleFacts,
+    Wish,
+)
 from onboard.autopilot.settings import FlightSettings, parse_settings
 from onboard.core.errors import ConfigError
+from onboard.safety import Verdict, allow_hold
 from onboard.safety_facts import Setpoint
 
 DT_S = 0.05
 FLIGHT = FlightSettings(fence_x_m=(-8.0, 8.0), fence_y_m=(-6.0, 6.0), altitude_m=(0.0, 4.0))
-HOVER = VehicleFacts(alive=True, offboard=True, armed=True, in_air=True, streaming=True, ready=True, known=True)
+HOVER = VehicleFacts(
+    alive=True, offboard=True, armed=True, in_air=True, streaming=True, ready=True, known=True
+)
 STANDING = VehicleFacts(alive=True, armed=False, on_ground=True, ready=True, known=True)
 
 
@@ -131,7 +145,9 @@ def test_ten_thousand_steps_of_anything_stay_within_limits(seed: int) -> None:
 
 @given(st.tuples(*[st.floats(allow_nan=True, allow_infinity=True)] * 3), st.floats(allow_nan=True))
 @settings(max_examples=200)
-def test_path_of_any_numbers_moves_nothing_out_of_limits(point: tuple[float, float, float], room: float) -> None:
+def test_path_of_any_numbers_moves_nothing_out_of_limits(
+    point: tuple[float, float, float], room: float
+) -> None:
     run = Run().flying()
     run.guidance = Guidance(run.now_s, Path(1, (point, (1.0, 1.0, 2.0), point), (room, 3.0, room)))
     before = None
@@ -144,8 +160,6 @@ def test_path_of_any_numbers_moves_nothing_out_of_limits(point: tuple[float, flo
 
 
 def test_gate_that_says_no_leaves_only_holding() -> None:
-    from onboard.safety import Verdict, allow_hold
-
     run = Run()
     run.core = AutopilotCore(FLIGHT, lambda *_: Verdict(False, "because"), allow_hold)
     run.flying()
@@ -265,7 +279,9 @@ def test_setpoint_rides_with_the_carrier_until_lift_off() -> None:
         ({}, 7.0, "no lift-off", Phase.IDLE),
     ],
 )
-def test_take_off_is_given_up_on_the_carrier(changes: dict[str, object], seconds: float, words: str, phase: Phase) -> None:
+def test_take_off_is_given_up_on_the_carrier(
+    changes: dict[str, object], seconds: float, words: str, phase: Phase
+) -> None:
     run = climbing()
     notes: list[str] = []
     for _ in range(round(seconds / DT_S)):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import pytest
@@ -51,7 +52,7 @@ def test_corner_is_rounded_and_slow() -> None:
     corner = min(moments, key=lambda moment: math.dist(moment[0], (4.0, 0.0, 1.0)))
     assert 0.05 < math.dist(corner[0], (4.0, 0.0, 1.0)) < 0.3
     assert norm(corner[1]) < 0.75
-    turns = [math.dist(a[1], b[1]) / STEP_S for a, b in zip(moments[5:], moments[6:], strict=False)]
+    turns = [math.dist(a[1], b[1]) / STEP_S for a, b in itertools.pairwise(moments)]
     assert max(turns) < 2.0
 
 

@@ -109,7 +109,7 @@ class Bench:
         return [p for t, p in self.heard if p.get_type() == name and t >= since_s]
 
     def events(self, since_s: float = -1.0) -> list[str]:
-        found = [p for p in self.all("EVENT", since_s)]
+        found = list(self.all("EVENT", since_s))
         return [self.texts.describe(p.__dict__["id"], bytes(p.arguments)) for p in found]
 
     @property

@@ -163,7 +163,9 @@ def test_armed_but_not_flown_disarms() -> None:
     assert bench.until(lambda: not bench.status.armed, 15.0) == pytest.approx(11.0, abs=0.4)
 
 
-@pytest.mark.parametrize(("hz", "ready"), [(5.0, True), (10.0, True), (50.0, True), (4.0, False), (2.5, False)])
+@pytest.mark.parametrize(
+    ("hz", "ready"), [(5.0, True), (10.0, True), (50.0, True), (4.0, False), (2.5, False)]
+)
 def test_vision_is_fused_from_five_hertz_on(hz: float, ready: bool) -> None:
     bench = Bench()
     bench.vision_hz = hz
@@ -300,9 +302,14 @@ def test_setpoints_in_the_bodys_frame() -> None:
     assert "SET_POSITION_TARGET_LOCAL_NED: invalid" in bench.events(bench.now_s - 0.2)
 
 
-# Tracking of a 6 x 4 m rounded rectangle with vision at 20 Hz and 2 cm, medians in metres on a real PX4 (docs/autopilot.md):
-# late, beside the path.
-MEASURED = {(1.0, False): (1.54, 0.12), (1.0, True): (0.68, 0.30), (2.0, False): (2.80, 0.20), (2.0, True): (1.53, 0.44)}
+# Tracking of a 6 x 4 m rounded rectangle with vision at 20 Hz and 2 cm on a real PX4 (docs/autopilot.md):
+# medians of how late and how far beside the path, metres.
+MEASURED = {
+    (1.0, False): (1.54, 0.12),
+    (1.0, True): (0.68, 0.30),
+    (2.0, False): (2.80, 0.20),
+    (2.0, True): (1.53, 0.44),
+}
 
 
 def rectangle(along: float) -> tuple[float, float, float]:

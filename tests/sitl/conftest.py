@@ -11,8 +11,6 @@ import pytest
 from rig import PARAMETERS, BuiltIn, RealPx4, Rig
 
 
-
-
 @pytest.fixture(params=["built-in", "px4"])
 def build_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., Rig]]:
     """Makes rigs: keyword arguments are parameters of the vehicle that differ from the checked ones."""
@@ -35,5 +33,3 @@ def build_rig(request: pytest.FixtureRequest) -> Iterator[Callable[..., Rig]]:
     yield make
     for rig in made:
         rig.vehicle.close()
-
-

@@ -1,8 +1,8 @@
 """A vehicle to test on, its truth, and our pilot: the same for the built-in vehicle and for a real PX4.
 
-Both speak over bytes only. The truth is HIL_STATE_QUATERNION, which a PX4 with its built-in simulator sends to its
-display; external vision is made of it, late and with noise. Positions are east, north, up from the place of the
-start, plus the height of the carrier on which the vehicle believes to stand.
+Both speak over bytes only. The truth is HIL_STATE_QUATERNION, which a PX4 with its built-in simulator sends
+to its display; external vision is made of it, late and with noise. Positions are east, north, up from the
+place of the start, plus the height of the carrier on which the vehicle believes to stand.
 """
 
 from __future__ import annotations
@@ -112,7 +112,15 @@ class RealPx4:
         self._link = UdpLink(remote + instance, local + instance)
         self._truth = UdpLink(truth_remote + instance, truth_local + instance)
         given = {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in parameters.items()}
-        command = [str(build / "bin/px4"), "-d", "-i", str(instance), "-w", self._folder.name, str(build / "etc")]
+        command = [
+            str(build / "bin/px4"),
+            "-d",
+            "-i",
+            str(instance),
+            "-w",
+            self._folder.name,
+            str(build / "etc"),
+        ]
         self._process = subprocess.Popen(
             command,
             env={**os.environ, "PX4_SIM_MODEL": "sihsim_quadx", **given},
@@ -187,8 +195,12 @@ class Rig:
     def start_pilot(self) -> None:
         """A new process of ours: nothing of the one before is left but the time in the key's file."""
         self.signer = Signer(KEY, self.signer.timestamp + 1)
-        self.link = VehicleLink(LinkSettings(vehicle_system=self.system, parameters=self.expected), self.signer)
-        self.pilot = Pilot(AutopilotCore(self.settings), self.link, lambda t, text: self.notes.append((t, text)))
+        self.link = VehicleLink(
+            LinkSettings(vehicle_system=self.system, parameters=self.expected), self.signer
+        )
+        self.pilot = Pilot(
+            AutopilotCore(self.settings), self.link, lambda t, text: self.notes.append((t, text))
+        )
         self._late, self._data = [], b""
 
     @property
@@ -250,7 +262,8 @@ class Rig:
     def _measured(self) -> Pose:
         truth = self.truth
         x, y, z = (
-            p + j + self._noise.gauss(0.0, POSE_NOISE_M) for p, j in zip(truth.position, self.jump, strict=True)
+            p + j + self._noise.gauss(0.0, POSE_NOISE_M)
+            for p, j in zip(truth.position, self.jump, strict=True)
         )
         half = truth.yaw / 2
         return Pose(self.now_s, (x, y, z), (0.0, 0.0, math.sin(half), math.cos(half)), truth.velocity)
@@ -276,7 +289,5 @@ class Rig:
     def moved(self, seconds: float, run: Callable[..., None] | None = None) -> float:
         """How far from where it was it goes, horizontally, while time passes."""
         begin, far = self.truth.position, [0.0]
-        (run or self.run)(
-            seconds, lambda: far.append(math.dist(begin[:2], self.truth.position[:2]))
-        )
+        (run or self.run)(seconds, lambda: far.append(math.dist(begin[:2], self.truth.position[:2])))
         return max(far)

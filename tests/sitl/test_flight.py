@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import random
 from collections.abc import Callable
@@ -37,7 +38,7 @@ def test_take_off_path_and_landing(build_rig: Callable[..., Rig]) -> None:
     rig = build_rig()
     rig.take_off()
     assert abs(rig.truth.position[2] - (CARRIER_M + 1.2)) < 0.3
-    points = zigzag(rig.pilot.core.place())
+    points = zigzag(rig.pilot.core.reference.position)
     path = Path(1, points, tuple(ROOM_M for _ in points))
     rig.guidance = lambda now_s: Guidance(now_s, path)
     late: list[float] = []
@@ -54,7 +55,7 @@ def test_take_off_path_and_landing(build_rig: Callable[..., Rig]) -> None:
         speeds.append(math.hypot(*rig.truth.velocity))
         tilts.append(math.degrees(rig.truth.tilt))
 
-    length_m = sum(math.dist(a, b) for a, b in zip(points, points[1:], strict=False))
+    length_m = sum(math.dist(a, b) for a, b in itertools.pairwise(points))
     rig.run(length_m * 1.6, watch)
     assert rig.pilot.core.reference.finished
     assert math.dist(rig.truth.position, points[-1]) < 0.4

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable
 
@@ -23,7 +24,7 @@ STRAIGHT = Path(1, ((0.0, 0.0, 2.0), (12.0, 0.0, 2.0)), (3.0, 3.0))
 def gap_after(rig: Rig, since_s: float) -> float:
     """Longest silence of the setpoints since then."""
     times = [since_s, *(t for t in rig.sent if t > since_s)]
-    return max(b - a for a, b in zip(times, times[1:], strict=False))
+    return max(b - a for a, b in itertools.pairwise(times))
 
 
 def test_half_a_second_without_pose_is_survived(build_rig: Callable[..., Rig]) -> None:
@@ -55,7 +56,9 @@ def test_five_seconds_without_pose_end_in_a_landing(build_rig: Callable[..., Rig
 
 
 @pytest.mark.parametrize("way", [(2.0, 0.0, 0.0), (-1.2, 1.6, 0.0)])
-def test_pose_that_jumps_two_metres_moves_nothing(build_rig: Callable[..., Rig], way: tuple[float, float, float]) -> None:
+def test_pose_that_jumps_two_metres_moves_nothing(
+    build_rig: Callable[..., Rig], way: tuple[float, float, float]
+) -> None:
     rig = build_rig()
     rig.take_off()
     rig.jump = way
@@ -64,7 +67,7 @@ def test_pose_that_jumps_two_metres_moves_nothing(build_rig: Callable[..., Rig],
     assert rig.pilot.outputs.phase is Phase.FLYING
     x, y, z = rig.truth.position
     there = (x + way[0] + 2.0, y + way[1], z)
-    path = Path(9, (rig.pilot.core.place(), there), (3.0, 3.0))
+    path = Path(9, (rig.pilot.core.reference.position, there), (3.0, 3.0))
     rig.guidance = lambda now_s: Guidance(now_s, path)
     assert 1.6 < rig.moved(5.0) < 2.4, "a path of the new map is flown in the new map"
 

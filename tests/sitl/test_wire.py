@@ -15,7 +15,7 @@ import pytest
 from drivers.mavlink.channel import SIGNED
 
 pytest.importorskip("mavsdk", reason="the observer needs mavsdk 4")
-from wire import RESTART_S, Wire  # noqa: E402
+from wire import RESTART_S, Wire
 
 OFFBOARD, LAND = 7, 6
 ON_GROUND, IN_AIR = 1, 2
@@ -70,11 +70,15 @@ def test_daemon_killed_twenty_times_in_flight(wire: Wire, tmp_path: Path) -> Non
     ended_s = wire.setpoints[-1]
     gaps = sorted(b - a for a, b in pairwise(t for t in wire.setpoints if t >= begun_s))
     assert RESTART_S + max(busy_s) + ANSWERS_S <= GAP_S, f"processor time until the first setpoint {busy_s}"
-    if os.getloadavg()[0] < 0.7 * (os.cpu_count() or 1):  # else the gaps are those of the machine's other users
+    if os.getloadavg()[0] < 0.7 * (
+        os.cpu_count() or 1
+    ):  # else the gaps are those of the machine's other users
         assert gaps[-1] <= GAP_S, f"longest gaps {[round(gap, 2) for gap in gaps[-KILLS:]]}"
     assert worst_m <= 0.5
     wire.order("land")
-    assert wire.run(20.0, lambda: wire.status.get("phase") == "idle" and not wire.status["armed"]), wire.notes()
+    assert wire.run(20.0, lambda: wire.status.get("phase") == "idle" and not wire.status["armed"]), (
+        wire.notes()
+    )
     wire.run(1.5)
     modes = wire.observed("mode")
     assert not [mode for t, mode in modes if begun_s < t < ended_s], "the observer saw the mode change"

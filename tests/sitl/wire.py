@@ -1,4 +1,4 @@
-"""The real processes on real sockets: vehicle, daemon, observer; this process is the odometry and the planner.
+"""The real processes on real sockets: vehicle, daemon, observer; this one is the odometry and the planner.
 
 Between daemon and vehicle sits a relay that looks at the frames and passes every byte on unchanged.
 """
@@ -106,7 +106,9 @@ class Wire:
         environment = {**os.environ, "PYTHONPATH": str(ROOT), **given}
         log = (self._folder / f"log-{len(self._processes)}.txt").open("wb")
         with log:
-            process = subprocess.Popen(command, env=environment, stderr=log, stdout=subprocess.DEVNULL, cwd=ROOT)
+            process = subprocess.Popen(
+                command, env=environment, stderr=log, stdout=subprocess.DEVNULL, cwd=ROOT
+            )
         self._processes.append(process)
         return process
 
