@@ -228,6 +228,8 @@ class VehicleLink:
         place = swap(plus(bridge.place(position), self.resets.shift(since_s)))
         speed = swap(about_up(velocity, bridge.yaw))
         push = swap(about_up(acceleration, bridge.yaw))
+        if not all(map(math.isfinite, (*place, *speed, *push, yaw, yaw_rate))):
+            return False  # a PX4 takes NaN for "do as you like with this axis"
         rest = (turned_yaw(yaw + bridge.yaw), -yaw_rate)
         head = (round(self._now_s * 1e3) & 0xFFFFFFFF, *self._target, LOCAL_NED, USE_ALL)
         self._send(message["SET_POSITION_TARGET_LOCAL_NED"](*head, *place, *speed, *push, *rest))

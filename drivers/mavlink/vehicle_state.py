@@ -137,6 +137,9 @@ class StateFolder:
 
     def _odometry(self, now_s: float, packet: Any) -> None:
         state = self.state
+        numbers = (packet.x, packet.y, packet.z, packet.vx, packet.vy, packet.vz, *packet.q)
+        if not all(map(math.isfinite, numbers)):
+            return
         state.position = swap((packet.x, packet.y, packet.z))
         state.velocity = swap((packet.vx, packet.vy, packet.vz))
         state.yaw, state.tilt = turned_yaw(yaw_of_ned(tuple(packet.q))), tilt_of(tuple(packet.q))

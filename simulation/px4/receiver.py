@@ -8,6 +8,7 @@ from typing import Any
 
 from drivers.mavlink import modes
 from drivers.mavlink.dialect import message
+from onboard.core.errors import WireError
 from simulation.px4 import estimator as ekf
 from simulation.px4.autopilot import Autopilot
 from simulation.px4.body import wrap
@@ -96,7 +97,7 @@ class Receiver:
         if packet.estimator_type not in ESTIMATORS:
             self._autopilot.send_event("mavlink_rcv_odom_unsup_estimator_type", packet.estimator_type)
             return
-        if packet.frame_id not in (ekf.LOCAL_NED, ekf.LOCAL_FRD) or not math.isfinite(packet.x):
+        if packet.frame_id not in (ekf.LOCAL_NED, ekf.LOCAL_FRD):
             return
         w, x, y, z = packet.q
         yaw = math.atan2(2 * (w * z + x * y), 1 - 2 * (y * y + z * z))
@@ -108,6 +109,8 @@ class Receiver:
     def _see(self, packet: Any, yaw: float, stamp_us: int, yaw_usable: bool) -> None:
         status = self._autopilot.status
         place = (packet.x, packet.y, packet.z)
+        if not all(map(math.isfinite, (*place, yaw))):
+            return
         stamp_s = stamp_us * 1e-6 - self._clock.offset_s
         vision = ekf.Vision(stamp_s, place, yaw, packet.reset_counter, yaw_usable)
         self._autopilot.estimator.see(status.now_s, vision, not status.landed)
@@ -135,7 +138,10 @@ class Receiver:
 
     def _file(self, packet: Any) -> None:
         source = (packet.get_srcSystem(), packet.get_srcComponent())
-        answer = self._files.answer(packet.payload)
+        try:
+            answer = self._files.answer(packet.payload)
+        except WireError:
+            return
         self._link.send(message["FILE_TRANSFER_PROTOCOL"](0, *source, answer))
 
     def _command_int(self, packet: Any) -> None:
@@ -168,7 +174,7 @@ class Receiver:
     def _set_mode(self, packet: Any) -> int:
         """The receiver of messages says yes at once; what counts is the commander's own answer after it."""
         self._answer(packet, ACCEPTED)
-        return self._mode(modes.custom_mode(int(packet.param2), int(packet.param3)))
+        return self._mode(modes.custom_mode(whole(packet.param2), whole(packet.param3)))
 
     def _take_off(self, packet: Any) -> int:
         autopilot = self._autopilot
@@ -182,13 +188,13 @@ class Receiver:
     def _arm(self, packet: Any) -> int:
         if packet.param1 > 0.5:
             return self._autopilot.commander.arm()
-        return self._autopilot.commander.disarm(forced=int(packet.param2) == FORCE)
+        return self._autopilot.commander.disarm(forced=whole(packet.param2) == FORCE)
 
     def _set_interval(self, packet: Any) -> int:
-        return ACCEPTED if self._link.set_interval(int(packet.param1), packet.param2) else FAILED
+        return ACCEPTED if self._link.set_interval(whole(packet.param1), packet.param2) else FAILED
 
     def _request(self, packet: Any) -> int:
-        number = int(packet.param1)
+        number = whole(packet.param1)
         if number == message["AUTOPILOT_VERSION"].id:
             version = (VERSION_CAPABILITIES, 0x011100FF, 0, 0, 0)
             hashes = ([0] * 8, [0] * 8, [0] * 8)
@@ -222,6 +228,11 @@ class Receiver:
             value = to_wire(parameters[name], kind)
             place = parameters.names.index(name)
             self._link.send(message["PARAM_VALUE"](name.encode(), value, kind, len(parameters), place))
+
+
+def whole(value: float) -> int:
+    """A parameter of a command as a number; what is none becomes -1."""
+    return int(value) if math.isfinite(value) else -1
 
 
 def text_of(field: bytes | str) -> str:

@@ -248,7 +248,7 @@ class Link:
     def set_interval(self, number: int, interval_us: float) -> bool:
         """MAV_CMD_SET_MESSAGE_INTERVAL: -1 stops, 0 is the default rate. False if that cannot be."""
         name = next((n for n in self.streams if message[n].id == number), None)
-        if name is None or number in FIXED:
+        if name is None or number in FIXED or not math.isfinite(interval_us):
             return False
         rate = self.streams[name][1]
         ticks = round(TICKS_S * interval_us * 1e-6) if interval_us > 0 else round(TICKS_S / rate)

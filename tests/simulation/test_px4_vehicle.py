@@ -10,7 +10,9 @@ import pytest
 from px4_bench import FLOWN, NAN, Bench
 
 from drivers.mavlink import modes
+from drivers.mavlink.channel import Channel
 from drivers.mavlink.dialect import message
+from drivers.mavlink.signing import Signer
 from simulation.px4.vehicle import Px4Vehicle
 
 
@@ -231,12 +233,12 @@ def test_range_finder_as_height_is_wrong_on_the_carrier() -> None:
 
 def test_stamps_count_only_after_five_hundred_timesyncs() -> None:
     bench = Bench()
-    asked: list[int] = []
 
     def answer() -> None:
-        for packet in bench.all("TIMESYNC")[len(asked) :]:
-            asked.append(packet.ts1)
-            bench.send(message["TIMESYNC"](round((bench.now_s + 1000.0) * 1e9), packet.ts1))
+        for _, packet in bench.heard:
+            if packet.get_type() == "TIMESYNC":
+                bench.send(message["TIMESYNC"](round((bench.now_s + 1000.0) * 1e9), packet.ts1))
+        bench.heard.clear()
 
     bench.run(40.0, answer)
     assert bench.vehicle.autopilot.estimator.synced_samples < 500
@@ -377,3 +379,21 @@ def test_a_target_of_nothing_is_refused() -> None:
     bench.send(bench.setpoint())
     bench.run(0.1)
     assert bench.status.target_s == -math.inf
+
+
+KEY = bytes(range(32))
+
+
+@pytest.mark.parametrize(
+    ("config", "key", "taken"),
+    [(2, KEY, True), (2, None, False), (2, bytes(32), False), (0, None, True), (0, bytes(32), True)],
+)
+def test_who_may_command_a_vehicle_with_a_key(config: int, key: bytes | None, taken: bool) -> None:
+    vehicle = Px4Vehicle(FLOWN | {"MAV_SIGN_CFG": config}, key=KEY)
+    sender = Channel(1, 191, None if key is None else Signer(key, 10**6))
+    order = sender.pack(message["COMMAND_LONG"](1, 1, 512, 0, message["HEARTBEAT"].id, 0, 0, 0, 0, 0, 0))
+    answers = Channel(1, 2, Signer(KEY)).receive(vehicle.step(0.01, order) + vehicle.step(0.02, order))
+    acks = [packet for packet in answers if packet.get_type() == "COMMAND_ACK"]
+    assert bool(acks) is taken
+    assert vehicle.counts.refused == (0 if config == 0 else 1 if taken else 2)
+    assert len(acks) == (0 if not taken else 2 if config == 0 else 1), "the second is a replay"

@@ -107,7 +107,7 @@ class RealPx4:
         self._folder = tempfile.TemporaryDirectory(prefix="px4-")
         keys = Path(self._folder.name) / "mavlink"
         keys.mkdir()
-        (keys / "mavlink-signing-key.bin").write_bytes(KEY + bytes(8))
+        (keys / "mavlink-signing-key.bin").write_bytes(KEY + stamp_of(time.time()).to_bytes(8, "little"))
         (local, remote), (truth_local, truth_remote) = PORTS[COMPANION_LINK], PORTS[TRUTH_LINK]
         self._link = UdpLink(remote + instance, local + instance)
         self._truth = UdpLink(truth_remote + instance, truth_local + instance)

@@ -65,7 +65,7 @@ def vehicle_command(build: str | None, instance: int, folder: Path) -> tuple[lis
         return [*head, *given], {}
     work = folder / "px4"
     (work / "mavlink").mkdir(parents=True)
-    (work / "mavlink/mavlink-signing-key.bin").write_bytes(KEY + bytes(8))
+    (work / "mavlink/mavlink-signing-key.bin").write_bytes(KEY + stamp_of(time.time()).to_bytes(8, "little"))
     command = [f"{build}/bin/px4", "-d", "-i", str(instance), "-w", str(work), f"{build}/etc"]
     given_px4 = {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in values.items()}
     return command, {"PX4_SIM_MODEL": "sihsim_quadx", "PX4_PARAM_SENS_EN_GPSSIM": "0", **given_px4}
