@@ -15,7 +15,7 @@ from onboard.autopilot.senses import Senses
 from onboard.autopilot.settings import FlightSettings
 from onboard.autopilot.shaper import Shaper
 from onboard.autopilot.take_off import TakeOff
-from onboard.autopilot.vectors import ZERO, Vector
+from onboard.autopilot.vectors import ZERO
 from onboard.safety import allow_hold, allow_setpoint
 from onboard.safety_facts import Setpoint
 

@@ -1,4 +1,4 @@
-"""An aerial robot in the simulator's map frame that flies as the real one: pilot, wire and vehicle in lock-step."""
+"""An aerial robot in the simulator's map frame that flies as the real one: pilot, wire, vehicle, lock-step."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ PARAMETERS = {
 CALM = Airframe(drag_1_s=0.3, tilt_lag_s=0.15, accel_noise=0.3, accel_bias=0.05)
 """A caged multirotor with a better inertial unit than the one of PX4's own simulator."""
 Move = Callable[[Vector, Vector], tuple[Vector, bool]]
-"""From a place and the one wanted next (map frame) to the one that is possible, and whether that is another."""
+"""From a place and the one wanted next (map frame) to the possible one, and whether that is another."""
 
 
 def free(_: Vector, target: Vector) -> tuple[Vector, bool]:
@@ -117,8 +117,8 @@ class FlownVehicle:
     def step(self, until_s: float) -> None:
         """Live on to `until_s` in steps of 20 ms; times begin at 0.
 
-        Poses, guidance and orders that were handed in must not be of a later time than the step before: what comes
-        from the future counts as stale.
+        Poses, guidance and orders that were handed in must not be of a later time than the step before: what
+        comes from the future counts as stale.
         """
         while (self._tick + 1) * STEP_S <= until_s + 1e-9:
             self._tick += 1
