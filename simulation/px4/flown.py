@@ -1,4 +1,4 @@
-"""An aerial robot in the simulator's map frame that flies as the real one: pilot, wire, vehicle, lock-step."""
+"""An aerial robot in the map frame of the simulator that flies as the real one: pilot, wire and vehicle."""
 
 from __future__ import annotations
 
