@@ -67,11 +67,10 @@ def run(wanted: Sequence[tuple[int, Source, int]], out: Path, drift: float) -> N
         if path.is_file() and len(path.read_text(encoding="utf-8").splitlines()) >= count:
             continue
         config = load_config(ROOT / "config" / "sim" / "team.toml")
-        lines = [
-            json.dumps(measured(case, k)) + "\n"
-            for k, case in enumerate(drawn(source, config, number, count, drift))
-        ]
-        path.write_text("".join(lines), encoding="utf-8")
+        cases = list(drawn(source, config, number, count, drift))
+        others = [None if drift or source.self_similar else other for other in [*cases[1:], *cases[:1]]]
+        lines = [json.dumps(measured(c, k, o)) for k, (c, o) in enumerate(zip(cases, others, strict=True))]
+        path.write_text("".join(line + "\n" for line in lines), encoding="utf-8")
 
 
 def results(out: Path) -> Iterator[dict[str, Any]]:

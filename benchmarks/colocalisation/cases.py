@@ -150,11 +150,9 @@ class Tries:
         rng = self._rng
         direction = rng.normal(size=3)
         shift = direction / np.linalg.norm(direction) * rng.uniform(0.0, GUESS_M)
-        turn = Pose.from_rpy(
-            np.zeros(3),
-            *rng.uniform(-GUESS_TILT_RAD, GUESS_TILT_RAD, 2),
-            float(rng.uniform(-GUESS_YAW_RAD, GUESS_YAW_RAD)),
-        )
+        roll, pitch = rng.uniform(-GUESS_TILT_RAD, GUESS_TILT_RAD, 2)
+        yaw = rng.uniform(-GUESS_YAW_RAD, GUESS_YAW_RAD)
+        turn = Pose.from_rpy(np.zeros(3), float(roll), float(pitch), float(yaw))
         rotated = Pose(np.zeros(3), truth.quaternion).compose(turn)
         return Pose(truth.position + shift, rotated.quaternion)
 

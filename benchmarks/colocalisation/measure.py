@@ -18,7 +18,7 @@ from onboard.localization.align import Source, align
 from onboard.localization.cloud_bytes import cloud_from_bytes, cloud_to_bytes
 from onboard.localization.colocalise import Colocalisation
 from onboard.localization.local_cloud import LocalCloud
-from onboard.localization.locate import Estimate, LocateSettings, apart, source_of
+from onboard.localization.locate import Estimate, LocateSettings, Locator, apart, source_of
 from onboard.localization.surfaces import Kind, Surfaces, surfaces_of
 
 PAUSE_S = 1.0
@@ -27,8 +27,8 @@ SHIFTED_M, TURNED_RAD = 0.2, float(np.deg2rad(3.0))
 Aligner = Callable[[Pose], Pose | None]
 
 
-def measured(case: Case, number: int) -> dict[str, Any]:
-    """Everything about one case as plain data."""
+def measured(case: Case, number: int, stranger: Case | None = None) -> dict[str, Any]:
+    """Everything about one case as plain data; a `stranger`'s scan was taken elsewhere in the same world."""
     before = time.process_time()
     cloud = LocalCloud()
     for points, pose in case.walked:
@@ -46,6 +46,8 @@ def measured(case: Case, number: int) -> dict[str, Any]:
         "merge_ms": 1e3 * merged_s,
         "ours": _ours(case, received),
     }
+    if stranger is not None:
+        result["stranger"] = _misplaced(case, received, stranger)
     if not case.self_similar:
         result["peers"] = dict(_timed(_peers(case, received.astype(np.float64)), case.guess, case))
         start = _beside(case.shots[0].truth, number)
@@ -76,6 +78,12 @@ def _ours(case: Case, cloud: np.ndarray[Any, Any]) -> dict[str, Any]:
         "prepare_ms": 1e3 * (times[1] - times[0]),
         "scan_ms": [1e3 * (b - a) for a, b in pairwise(times[1:])],
     }
+
+
+def _misplaced(case: Case, cloud: np.ndarray[Any, Any], stranger: Case) -> dict[str, Any]:
+    """Another place's scan against this cloud: to be refused, unless the place is within reach after all."""
+    shot = stranger.shots[0]
+    return _described(Locator(cloud.astype(np.float64)).locate(shot.scan.points(), case.guess), shot.truth)
 
 
 def _described(estimate: Estimate, truth: Pose) -> dict[str, Any]:
@@ -116,9 +124,8 @@ def _timed(
 def _peers(case: Case, cloud: FloatArray) -> Iterator[tuple[str, Aligner]]:
     """small_gicp on the whole scan, as it comes, from the bracket's guess."""
     scan = _whole_scan(case)
-    for kind in ("GICP", "VGICP", "PLANE_ICP"):
-        for reach_m in (1.0, 2.0):
-            yield f"small_gicp {kind}, {reach_m:g} m", _small_gicp(cloud, scan, kind, reach_m, 0.25)
+    for kind, reach_m in (("GICP", 1.0), ("GICP", 2.0), ("VGICP", 2.0), ("PLANE_ICP", 2.0)):
+        yield f"small_gicp {kind}, {reach_m:g} m", _small_gicp(cloud, scan, kind, reach_m, 0.25)
 
 
 def _methods(case: Case, cloud: FloatArray) -> Iterator[tuple[str, Aligner]]:
@@ -131,7 +138,7 @@ def _methods(case: Case, cloud: FloatArray) -> Iterator[tuple[str, Aligner]]:
     yield "planes and lines", _aligned(mixed, source, limits)
     yield "planes and steep lines (ours)", _aligned(chosen, source, limits)
     for kind in ("GICP", "VGICP", "PLANE_ICP"):
-        yield f"small_gicp {kind}", _small_gicp(cloud, _whole_scan(case), kind, 0.5, 0.1)
+        yield f"small_gicp {kind}", _small_gicp(cloud, _whole_scan(case), kind, 0.5, 0.2)
 
 
 def _planes_only(surfaces: Surfaces) -> Surfaces:

@@ -43,6 +43,7 @@ def section(results: Sequence[Result]) -> str:
     )
     tables = [
         markdown(columns, [*parts, *_by_world(ordinary)]),
+        _strangers(ordinary),
         _honesty(ordinary),
         _costs(results),
         _others("From the bracket's guess, first scan", ordinary, "peers"),
@@ -73,6 +74,18 @@ def _acceptance(name: str, results: Sequence[Result]) -> list[str]:
         _spread([error[1] for error in accepted], 3),
         ", ".join(f"{reason.lower()} {count}" for reason, count in refused.most_common()) or "-",
     ]
+
+
+def _strangers(results: Sequence[Result]) -> str:
+    """Scans of other places: none of them may be believed to be here."""
+    found = [result["stranger"] for result in results if "stranger" in result]
+    accepted = [entry["error"] for entry in found if entry["reason"] == "ACCEPTED"]
+    refused = Counter(entry["reason"].lower() for entry in found if entry["reason"] != "ACCEPTED")
+    reasons = ", ".join(f"{reason} {count}" for reason, count in refused.most_common())
+    return (
+        f"{len(found)} scans of another place in the same world, one scan each: {len(accepted)} accepted, "
+        f"{sum(map(wrong, accepted))} of them wrong; refused: {reasons or '-'}."
+    )
 
 
 def _honesty(results: Sequence[Result]) -> str:

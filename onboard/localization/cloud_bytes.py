@@ -71,7 +71,7 @@ def cloud_from_bytes(data: bytes) -> NDArray[np.float32]:
     index = np.stack([keys // (size[1] * size[2]), keys // size[2] % size[1], keys % size[2]], axis=-1)
     place = np.stack([packed & 31, packed >> 5 & 31, packed >> 10], axis=-1)
     edge_m = voxel_mm * _MILLIMETRE_M
-    return ((index + low) * edge_m + (place + 0.5) * (edge_m / _SUB)).astype(np.float32)
+    return np.asarray((index + low) * edge_m + (place + 0.5) * (edge_m / _SUB), dtype=np.float32)
 
 
 def _check_size(size: NDArray[np.int64]) -> None:

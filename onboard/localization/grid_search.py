@@ -99,7 +99,7 @@ def _thinned(scan: FloatArray, settings: SearchSettings) -> FloatArray:
     if len(picked) > settings.points:
         voxel_m *= float(np.sqrt(len(picked) / settings.points))
         picked = near[voxel_picks(near, voxel_m)]
-    return picked
+    return np.asarray(picked)
 
 
 def _field(cloud: FloatArray, centre: FloatArray, settings: SearchSettings) -> _Field | None:

@@ -226,4 +226,4 @@ def source_of(points: FloatArray, settings: LocateSettings) -> Source:
 def _in_range(points: NDArray[np.floating], settings: LocateSettings) -> FloatArray:
     seen = np.asarray(points, dtype=np.float64)
     away = np.linalg.norm(seen, axis=1)
-    return seen[(away >= settings.min_range_m) & (away <= settings.max_range_m)]
+    return np.asarray(seen[(away >= settings.min_range_m) & (away <= settings.max_range_m)])

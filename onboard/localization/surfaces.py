@@ -37,6 +37,8 @@ class SurfaceSettings:
     """Standard deviation off a plane or a line up to which it is one."""
     plane_share: float = 0.3
     """Least (second - third) / first eigenvalue of a plane."""
+    plane_flatness: float = 0.2
+    """Largest third / second eigenvalue of a plane."""
     line_share: float = 0.85
     """Least (first - second) / first eigenvalue of a line."""
     line_slope: float = 0.5
@@ -100,7 +102,8 @@ def _kinds(
     thin = settings.thickness_m**2
     line = enough & ((first - second) / spread >= settings.line_share) & (second <= thin)
     ring = line & (np.abs(vectors[:, 2, 2]) < settings.line_slope)
-    plane = enough & ~line & ((second - third) / spread >= settings.plane_share) & (third <= thin)
+    flat = (third <= thin) & (third <= settings.plane_flatness * second)
+    plane = enough & ~line & ((second - third) / spread >= settings.plane_share) & flat
     kinds = np.where(plane, Kind.PLANE, np.where(line & ~ring, Kind.LINE, Kind.OTHER)).astype(np.int8)
     axes = np.where(plane[:, None], vectors[:, :, 0], vectors[:, :, 2])
     return kinds, axes
