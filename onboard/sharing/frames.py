@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from onboard.core.crc import crc32c
 from onboard.core.errors import InputError, WireError
+from onboard.sharing.correction_frames import pack_corrections, unpack_corrections
 from onboard.sharing.messages import (
     MAX_ALTERNATIVES,
     MAX_BIDS,
@@ -21,6 +22,7 @@ from onboard.sharing.messages import (
     Bids,
     BundleMessage,
     Commit,
+    Corrections,
     Digest,
     KeyframeMessage,
     Message,
@@ -254,6 +256,7 @@ _KIND_OF: dict[type[Message], _Kind] = {
     Commit: _Kind(8, "commit", _pack_commit, _unpack_commit),
     Release: _Kind(9, "release", _pack_release, _unpack_release),
     Bids: _Kind(10, "bids", _pack_bids, _unpack_bids),
+    Corrections: _Kind(15, "corrections", pack_corrections, unpack_corrections),
 }
 _KIND_BY_NUMBER = {kind.number: kind for kind in _KIND_OF.values()}
 KINDS = tuple(kind.name for kind in _KIND_OF.values())

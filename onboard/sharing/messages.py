@@ -14,6 +14,7 @@ MAX_SOURCES = 255
 MAX_RANGES = 32
 MAX_BUNDLES = 16
 MAX_BIDS = 4
+MAX_KNOTS = 1000
 
 
 class KeyframeMessage(msgspec.Struct, frozen=True):
@@ -120,4 +121,26 @@ class Bids(msgspec.Struct, frozen=True):
     bundles: tuple[BundleMessage, ...]
 
 
-Message = KeyframeMessage | Digest | Status | Target | Times | Propose | Ack | Commit | Release | Bids
+class CorrectionKnot(msgspec.Struct, frozen=True):
+    """Keyframe `sequence` is moved by `shift_m` (5 mm on the air, at most 163 m) and turned by the rotation
+    vector `turn_rad` (0.1 mrad on the air, at most 3.27 rad), both in map axes."""
+
+    sequence: int
+    shift_m: Vector
+    turn_rad: Vector
+
+
+class Corrections(msgspec.Struct, frozen=True):
+    """Revision of all poses of `source`'s keyframes against those that they carry, linear between the knots.
+
+    Without knots: the sender holds this revision of `source`'s corrections.
+    """
+
+    source: int
+    revision: int
+    knots: tuple[CorrectionKnot, ...]
+
+
+Message = (
+    KeyframeMessage | Digest | Status | Target | Times | Propose | Ack | Commit | Release | Bids | Corrections
+)

@@ -1,0 +1,212 @@
+"""Registration of one submap to another, and whether it can be believed."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import Enum
+
+import numpy as np
+import small_gicp
+
+from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.lie import between
+from onboard.localization.search import SearchSettings, Start, search
+from onboard.localization.submaps import VOXEL_M, Submap
+from onboard.mapping.blocks import FREE, OCCUPIED
+from onboard.mapping.voxel_map import VoxelMap
+
+_SWAP = np.array([3, 4, 5, 0, 1, 2])
+"""Between (rotation vector, shift) of small_gicp and (shift, rotation vector) here."""
+_GICP_UNIT = 2e-3
+"""GICP takes surfaces as 1e-3 thick in units of their extent: a pair counts 500 along its normal."""
+_SLACK_M, _SLACK_RAD = 0.5, 0.05
+_SAME_M, _SAME_RAD = 0.5, 0.1
+
+
+class Reason(Enum):
+    """What came of a registration."""
+
+    ACCEPTED = "accepted"
+    FEW_POINTS = "too few points"
+    NO_FIT = "fits nowhere"
+    OUTSIDE = "fits only where it cannot be"
+    CONTRADICTED = "surfaces where the other saw nothing"
+    LITTLE_OVERLAP = "too little seen by both"
+    DEGENERATE = "the surroundings do not hold it"
+    AMBIGUOUS = "fits in more than one place"
+
+
+@dataclass(frozen=True, slots=True)
+class RegistrationSettings:
+    """When a registration is believed."""
+
+    pairs_m: tuple[float, ...] = (1.0, 0.5, 0.3)
+    """Farthest partners in the first, second, ... descent."""
+    min_points: int = 300
+    min_overlap: float = 0.4
+    """Share of either submap's points that lies in what the other knows, free or occupied ..."""
+    min_agreement: float = 0.9
+    """... and share of those that does not lie where the other saw nothing ..."""
+    min_agreement_far: float = 0.95
+    """... which must be more where the reach is long enough to meet a look-alike."""
+    min_hold: float = 0.015
+    """What the surroundings tell of the position in their weakest direction; walls all around: 1/3."""
+    noise_m: float = 0.03
+    independent: float = 0.02
+    """Share of the points that err on their own."""
+    floor_m: float = 0.02
+    floor_rad: float = 0.003
+    alone_m: float = 0.8
+    """Within such a reach nothing is searched: a descent from the guess finds what there is."""
+    runner_up: float = 0.93
+    """A second place that agrees so nearly as well makes a match ambiguous."""
+    search: SearchSettings = field(default_factory=SearchSettings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Outcome of a descent: pose of the source in the target's frame and how well it fits there.
+
+    `inliers`: share of points with a partner, `rms_m` off their surfaces; `overlap`, `agreement`:
+    see RegistrationSettings, the smaller of both directions; `hessian` (6, 6) of (shift, rotation) in the
+    source's frame; `hold` (3,), ascending: what a point tells of the position.
+    """
+
+    pose: Pose
+    inliers: float
+    rms_m: float
+    overlap: float
+    agreement: float
+    hessian: FloatArray
+    hold: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Registration:
+    """Accepted, or why not, with the best fit where there is one, and its covariance (6, 6)."""
+
+    reason: Reason
+    fit: Fit | None = None
+    covariance: FloatArray | None = None
+
+
+def register(
+    target: Submap,
+    source: Submap,
+    guess: Pose,
+    reach_m: float,
+    turn_rad: float,
+    settings: RegistrationSettings,
+) -> Registration:
+    """Find the pose of `source`'s frame in that of `target`, which is expected within reach of `guess`."""
+    if min(len(target.points), len(source.points)) < settings.min_points:
+        return Registration(Reason.FEW_POINTS)
+    known, seen = target.voxels(), source.voxels()
+    starts = [Start(guess, 1.0)]
+    if reach_m > settings.alone_m:
+        starts = search(known, source.points, guess, reach_m, turn_rad, settings.search)
+    fits = [
+        _judged(_descended(target, source, start.pose, settings), target, source, known, seen)
+        for start in starts
+    ]
+    best = max(fits, key=_merit)
+    reason = _verdict(best, fits, guess, reach_m, turn_rad, settings)
+    return Registration(reason, best, _covariance(best, settings))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Descent:
+    pose: Pose
+    inliers: float
+    rms_m: float
+    hessian: FloatArray
+    hold: FloatArray
+
+
+def _descended(target: Submap, source: Submap, start: Pose, settings: RegistrationSettings) -> _Descent:
+    """GICP (Segal et al., RSS 2009) with partners ever nearer."""
+    cloud, tree = target.target
+    moving, _ = source.target
+    transform = start.matrix()
+    for pairs_m in settings.pairs_m:
+        result = small_gicp.align(
+            cloud,
+            moving,
+            tree,
+            init_T_target_source=transform,
+            registration_type="GICP",
+            max_correspondence_distance=pairs_m,
+            num_threads=1,
+        )
+        transform = result.T_target_source
+    count = max(int(result.num_inliers), 1)
+    hessian = np.asarray(result.H)[np.ix_(_SWAP, _SWAP)] * _GICP_UNIT
+    return _Descent(
+        Pose.from_matrix(transform),
+        result.num_inliers / moving.size(),
+        float(np.sqrt(2 * result.error * _GICP_UNIT / count)),
+        hessian,
+        _hold(hessian) / count,
+    )
+
+
+def _judged(descent: _Descent, target: Submap, source: Submap, known: VoxelMap, seen: VoxelMap) -> Fit:
+    """Look from both sides: points of each in what the other knows."""
+    there = _seen_by(known, source.points, descent.pose)
+    back = _seen_by(seen, target.points, descent.pose.inverse())
+    overlap, agreement = min(there[0], back[0]), min(there[1], back[1])
+    return Fit(
+        descent.pose, descent.inliers, descent.rms_m, overlap, agreement, descent.hessian, descent.hold
+    )
+
+
+def _seen_by(known: VoxelMap, points: FloatArray, pose: Pose) -> tuple[float, float]:
+    """Share of points (N, 3) that lie in what is known, and share of those with a surface beside them."""
+    status = known.box_status(points @ pose.rotation.T + pose.position, [VOXEL_M / 2] * 3)
+    occupied, free = int((status == OCCUPIED).sum()), int((status == FREE).sum())
+    return (occupied + free) / len(points), occupied / max(occupied + free, 1)
+
+
+def _merit(fit: Fit) -> float:
+    """Points that agree, over all."""
+    return fit.agreement * fit.inliers
+
+
+def _verdict(
+    best: Fit, fits: list[Fit], guess: Pose, reach_m: float, turn_rad: float, settings: RegistrationSettings
+) -> Reason:
+    moved = between(guess, best.pose)
+    if best.overlap < settings.min_overlap:
+        return Reason.LITTLE_OVERLAP
+    near = reach_m <= settings.alone_m
+    if best.agreement < (settings.min_agreement if near else settings.min_agreement_far):
+        return Reason.CONTRADICTED
+    if np.linalg.norm(moved[:3]) > reach_m + _SLACK_M or np.linalg.norm(moved[3:]) > turn_rad + _SLACK_RAD:
+        return Reason.OUTSIDE
+    if best.hold[0] < settings.min_hold:
+        return Reason.DEGENERATE
+    if any(_rivals(fit, best, settings) for fit in fits):
+        return Reason.AMBIGUOUS
+    return Reason.ACCEPTED
+
+
+def _rivals(fit: Fit, best: Fit, settings: RegistrationSettings) -> bool:
+    """Whether a fit is another place than the best and nearly as good."""
+    apart = between(best.pose, fit.pose)
+    other = np.linalg.norm(apart[:3]) > _SAME_M or np.linalg.norm(apart[3:]) > _SAME_RAD
+    return bool(other) and _merit(fit) > settings.runner_up * _merit(best)
+
+
+def _hold(hessian: FloatArray) -> FloatArray:
+    """Eigenvalues (3,), ascending, of the information on the position, nothing known of the rotation."""
+    turning = hessian[3:, 3:] + 1e-6 * np.trace(hessian[3:, 3:]) * np.eye(3)
+    held = hessian[:3, :3] - hessian[:3, 3:] @ np.linalg.solve(turning, hessian[3:, :3])
+    return np.asarray(np.linalg.eigvalsh(held))
+
+
+def _covariance(fit: Fit, settings: RegistrationSettings) -> FloatArray:
+    """(6, 6) of the small motion in the source's frame."""
+    information = fit.hessian * settings.independent / settings.noise_m**2
+    ridge = np.diag([1e-2] * 3 + [1e-1] * 3)
+    floor = np.diag([settings.floor_m**2] * 3 + [settings.floor_rad**2] * 3)
+    return np.asarray(np.linalg.inv(information + ridge) + floor)
