@@ -28,9 +28,9 @@ class ConsistencySettings:
     """... and so many times what odometry may err on the ways between their ends."""
     apart_m: float = 5.0
     """A closure confirms another that was found at least so far away ..."""
-    certainty: float = 0.35
+    certainty: float = 0.5
     """... if what the two may differ by is less than this share of how far the other was searched."""
-    sure_m: float = 0.8
+    sure_m: float = 1.5
     """Closures found within such a reach of where they were expected need no other to confirm them."""
 
 

@@ -125,7 +125,10 @@ def _along(graph: PoseGraph, key: Key, direction: int, settings: SubmapSettings)
 def verify(
     graph: PoseGraph, candidate: Candidate, older: Submap, newer: Submap, settings: RegistrationSettings
 ) -> Verified:
-    """Register the surroundings of the newer keyframe to those of the older one."""
+    """Register the surroundings of the newer keyframe to those of the older one.
+
+    The submaps are as bent as odometry makes them over their length: so much is added to the covariance.
+    """
     at, now = graph.poses[candidate.older], graph.poses[candidate.newer]
     guess = Pose(now.position - at.position, Pose.identity().quaternion)
     result = register(older, newer, guess, candidate.reach_m, candidate.turn_rad, settings)
@@ -134,7 +137,9 @@ def verify(
     # the submaps' axes are the map's: from there to the keyframes' own
     moved = result.fit.pose.compose(Pose(np.zeros(3), now.quaternion))
     motion = Pose(np.zeros(3), at.quaternion).inverse().compose(moved)
-    covariance = _in_axes(result.covariance, now)
+    bend = graph.drift.spread(older.settings.half_length_m)
+    bent = np.diag([bend.shift_m**2] * 3 + [bend.turn_rad**2] * 3)
+    covariance = _in_axes(result.covariance, now) + bent
     closure = Closure(candidate.older, candidate.newer, motion, covariance)
     return Verified(candidate, result, Found(closure, candidate.reach_m))
 

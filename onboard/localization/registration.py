@@ -56,6 +56,7 @@ class RegistrationSettings:
     """Share of the points that err on their own."""
     floor_m: float = 0.02
     floor_rad: float = 0.003
+    """No registration is better than this."""
     alone_m: float = 0.8
     """Within such a reach nothing is searched: a descent from the guess finds what there is."""
     runner_up: float = 0.93
