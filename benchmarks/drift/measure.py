@@ -49,7 +49,7 @@ class Outcome:
 
 def settings_of(sensor: str) -> BackendSettings:
     """The back end as it is set for a sensor."""
-    drift = DriftModel(shift_per_m=RATIOS[sensor], turn_rad_per_m=0.06 * RATIOS[sensor])
+    drift = DriftModel(shift_per_m=RATIOS[sensor], turn_rad_per_m=0.02 * RATIOS[sensor])
     return BackendSettings(closer=CloserSettings(drift=drift))
 
 

@@ -23,7 +23,8 @@ class LoopSettings:
     """When a loop is looked for."""
 
     near_m: float = 4.0
-    """Keyframes this near see the same."""
+    above_m: float = 1.5
+    """Keyframes this near, and no more than so much higher or lower, see the same: floors part storeys."""
     way_m: float = 15.0
     """Nearer along the way (over steps and closures) there is nothing to gain."""
     base_m: float = 0.3
@@ -64,9 +65,10 @@ def propose(graph: PoseGraph, key: Key, settings: LoopSettings) -> list[Candidat
     for other, spread in graph.spreads_from(key).items():
         if spread.length_m < settings.way_m:
             continue
-        distance_m = float(np.linalg.norm(graph.poses[other].position - here))
         reach_m, turn_rad = _reach(spread, settings)
-        if distance_m <= settings.near_m + reach_m:
+        apart = np.abs(graph.poses[other].position - here)
+        if np.hypot(apart[0], apart[1]) <= settings.near_m + reach_m and apart[2] <= settings.above_m + reach_m:
+            distance_m = float(np.hypot(apart[0], apart[1]) + settings.near_m / settings.above_m * apart[2])
             options.append((distance_m, Candidate(other, key, reach_m, turn_rad)))
     return _apart(graph, [candidate for _, candidate in sorted(options, key=_order)], settings)
 

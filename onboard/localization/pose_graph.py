@@ -42,7 +42,7 @@ class DriftModel:
     """How odometry goes astray beyond the noise of its steps: slowly varying errors of scale and heading."""
 
     shift_per_m: float = 0.01
-    turn_rad_per_m: float = 4e-4
+    turn_rad_per_m: float = 2e-4
     correlation_m: float = 20.0
     """Over so many metres of the way the errors are alike."""
 

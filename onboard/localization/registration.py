@@ -49,8 +49,9 @@ class RegistrationSettings:
     """... and share of those that does not lie where the other saw nothing ..."""
     min_agreement_far: float = 0.95
     """... which must be more where the reach is long enough to meet a look-alike."""
-    min_hold: float = 0.015
-    """What the surroundings tell of the position in their weakest direction; walls all around: 1/3."""
+    min_hold: float = 0.006
+    """What a point tells of the position in the weakest direction: 1/3 with walls all around, 0.0015 along a
+    bare corridor, where it is the noise of the normals."""
     noise_m: float = 0.03
     independent: float = 0.02
     """Share of the points that err on their own."""
@@ -200,7 +201,7 @@ def _rivals(fit: Fit, best: Fit, settings: RegistrationSettings) -> bool:
 
 def _hold(hessian: FloatArray) -> FloatArray:
     """Eigenvalues (3,), ascending, of the information on the position, nothing known of the rotation."""
-    turning = hessian[3:, 3:] + 1e-6 * np.trace(hessian[3:, 3:]) * np.eye(3)
+    turning = hessian[3:, 3:] + (1e-6 * np.trace(hessian[3:, 3:]) + 1e-9) * np.eye(3)
     held = hessian[:3, :3] - hessian[:3, 3:] @ np.linalg.solve(turning, hessian[3:, :3])
     return np.asarray(np.linalg.eigvalsh(held))
 

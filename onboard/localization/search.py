@@ -24,12 +24,12 @@ _CAP_M = 1.0
 class SearchSettings:
     """How finely is searched."""
 
-    stride: int = 2
+    stride: int = 3
     """In voxels."""
-    turn_rad: float = 0.06
+    turn_rad: float = 0.08
     range_m: float = 12.0
     """Points farther away are not looked at: headings shift them too much."""
-    points: int = 300
+    points: int = 200
     starts: int = 4
     apart_m: float = 1.5
     """Poses nearer to a better one than this, and than three steps of the heading, are the same."""

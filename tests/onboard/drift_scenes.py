@@ -5,7 +5,6 @@ from __future__ import annotations
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 
 from onboard.core.config import LidarSettings
 from onboard.core.geometry import FloatArray, Pose
@@ -89,11 +88,11 @@ def walk(corners: list[tuple[float, float]], spacing_m: float = 1.5) -> list[Pos
     ]
 
 
-def stretched(truth: list[Pose], shift: FloatArray, over_m: float) -> list[Pose]:
-    """Poses that are off by `shift` (3,) from `over_m` of the way on, evenly more until then."""
+def stretched(truth: list[Pose], shift: FloatArray, start_m: float, end_m: float) -> list[Pose]:
+    """Poses off by `shift` (3,) from `end_m` of the way on, evenly more from `start_m` until then."""
     positions = np.array([pose.position for pose in truth])
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    shares: NDArray[np.float64] = np.minimum(along / over_m, 1.0)
+    shares = np.clip((along - start_m) / (end_m - start_m), 0.0, 1.0)
     return [
         Pose(pose.position + share * shift, pose.quaternion)
         for pose, share in zip(truth, shares, strict=True)

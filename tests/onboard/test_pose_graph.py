@@ -146,7 +146,9 @@ def test_equal_graphs_give_equal_poses_and_survive_as_bytes() -> None:
     assert to_bytes(restored) == to_bytes(graphs[1])
 
 
-@pytest.mark.parametrize("damage", [b"", b"\0" * 40, to_bytes(PoseGraph())[:-1], b"x" + to_bytes(PoseGraph())])
+@pytest.mark.parametrize(
+    "damage", [b"", b"\0" * 40, to_bytes(PoseGraph())[:-1], b"x" + to_bytes(PoseGraph())]
+)
 def test_damaged_bytes_are_refused(damage: bytes) -> None:
     with pytest.raises(InputError, match="pose graph"):
         from_bytes(damage)
