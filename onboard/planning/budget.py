@@ -74,6 +74,10 @@ class Budget:
         """Whether there is time for a path of `path_s` and then a way back of `back_s` seconds."""
         return not np.isfinite(self.remaining_s) or self.needed(path_s, back_s) <= self.remaining_s
 
+    def too_late(self, way_s: float) -> bool:
+        """Whether time will run out on a way of `way_s` seconds, whatever the margins."""
+        return way_s * self.pace.ratio > self.remaining_s
+
     @property
     def longest_way_s(self) -> float:
         """The longest way (s) that may be entered now as the last one."""

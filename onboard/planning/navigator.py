@@ -27,6 +27,10 @@ APPROACH_M = 1.0
 JOINED = 12
 
 
+Way = tuple[bool, bool, bool, FloatArray]
+"""A way (M, 3) after what speaks against it: blocked, too long for the time left, with gaps only seen."""
+
+
 class Navigator:
     """Map, graphs and budget of one robot.
 
@@ -119,37 +123,38 @@ class Navigator:
         return Plan(path, "route", time_s=travel_time(path, self.settings.speed_m_s))
 
     def _over_graph(self, point: FloatArray, target: FloatArray, radius_m: float) -> FloatArray | None:
-        """Way to the node within the radius from which the target is reached soonest.
-
-        Without any: to the node nearest to it, if that brings the robot nearer; there it holds and looks
-        again.
+        """Way to the node within the radius from which the target is reached soonest; through gaps that the
+        robot has only seen where all else is blocked or takes too long. Without any: to the node nearest to
+        it, if that brings the robot nearer; there it holds and looks again.
         """
         assert self.graph is not None
         self.verify_ways()
-        nodes, offsets_s = self._around_place(target, radius_m)
-        path = None
-        for cautious in (True, False):
-            times = self.times_from_here(point, cautious)
-            arrival = times[nodes] + offsets_s
-            if np.isfinite(arrival.min(initial=np.inf)):
-                path = self.route_to(point, int(nodes[np.argmin(arrival)]), cautious)
-                if not self.way_blocked:
-                    break
-        if path is not None:
+        found = [way for cautious in (True, False) if (way := self._way(point, target, radius_m, cautious))]
+        if found:
+            self.way_blocked, _, _, path = min(found, key=lambda way: way[:3])
             return path
-        offsets = np.linalg.norm(self.graph.points - target, axis=1)
+        times, offsets = self.times_from_here(point), np.linalg.norm(self.graph.points - target, axis=1)
         offsets[~np.isfinite(times)] = np.inf
         node = int(np.argmin(offsets))
-        if offsets[node] < np.linalg.norm(target - point) - APPROACH_M:
-            path = self.route_to(point, node)
+        nearer = offsets[node] < np.linalg.norm(target - point) - APPROACH_M
+        route = self.route_to(point, node) if nearer else None
         self.way_blocked = True
-        return path
+        return route
+
+    def _way(self, point: FloatArray, target: FloatArray, radius_m: float, cautious: bool) -> Way | None:
+        nodes, offsets_s = self._around_place(target, radius_m)
+        arrival = self.times_from_here(point, cautious)[nodes] + offsets_s
+        if not np.isfinite(arrival.min(initial=np.inf)):
+            return None
+        path = self.route_to(point, int(nodes[np.argmin(arrival)]), cautious)
+        late = self.budget.too_late(float(arrival.min()))
+        return None if path is None else (self.way_blocked, late, not cautious, path)
 
     def stop_short(self, plan: Plan, distance_m: float) -> Plan:
-        """The plan without its last metres and, where there is room, a climb of a metre at its new end."""
+        """The plan without its last metres and, where there is room, a climb to 1 m above its former end."""
         path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
-        above = path[-1] + np.array([0.0, 0.0, 1.0])
-        if self.visible(path[-1], above):
+        above = path[-1] + np.array([0.0, 0.0, np.clip(plan.path[-1, 2] + 1.0 - path[-1, 2], 0.0, 1.0)])
+        if above[2] > path[-1, 2] and self.visible(path[-1], above):
             path = np.concatenate([path, above[None]])
         return Plan(path, plan.kind, time_s=plan.time_s)
 

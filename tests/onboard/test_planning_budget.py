@@ -83,14 +83,23 @@ def test_a_way_back_that_was_never_gone_counts_as_longer_and_a_gap_not_at_all():
 
 
 def test_the_way_home_is_counted_by_the_trail_where_only_a_gap_is_shorter():
-    robot = flown((19.0, 1.0), (19.0, 9.0), (10.0, 9.0))
-    here = np.array([10.0, 9.0, 1.5])
+    slit = ((10.8, 1.8, 1.2), (11.6, 8.2, 1.8))  # which just lets the body through
+    robot = flown((19.0, 1.0), (19.0, 9.0), (11.2, 9.0), rooms=(*RING, slit))
+    here = robot.graph.points[robot.graph.here].copy()
     around_s = robot.return_time(here)
-    robot.map.assume_free((9.7, 1.8, 1.3), (10.3, 8.2, 1.7))  # a slit that just lets the body through
-    shaft = np.array([(10.0, 9.0, 1.5), (10.0, 1.0, 1.5)])
-    robot.graph.join(shaft, robot.graph.nearest(shaft[1])[0], lambda a, b: True)
+    shaft = np.array([here, (here[0], 1.4, 1.5)])
+    robot.graph.join(shaft, robot.graph.nearest(np.array([here[0], 1.0, 1.5]))[0], lambda a, b: True)
     robot.verify_ways()
     assert robot.return_time(here) == pytest.approx(around_s, abs=0.5)
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    robot.budget.remaining_s = around_s - 5.0  # too late for the way around: what is left is the slit
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() < 12.0
+    robot.budget.remaining_s = 5.0  # too late for everything: no going to and fro between the two
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    wall(robot.map, (10.8, 4.0, 1.2), (11.6, 4.4, 1.8))
+    robot.budget.remaining_s = around_s - 5.0  # the slit is closed: late is better than never
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    assert not robot.way_blocked
 
 
 @given(st.lists(st.tuples(st.floats(0.05, 2.0), st.floats(-1.0, 3.0)), max_size=300))
@@ -233,6 +242,17 @@ def test_the_way_back_is_not_counted_through_walls():
     assert np.isinf(robot.return_time(behind))
     wall(robot.map, (0.0, 2.0, 0.0), (20.0, 2.4, 3.0))
     assert np.isinf(robot.return_time(np.array([10.0, 3.2, 1.5])))
+
+
+def test_a_flying_robot_that_plans_its_last_metres_again_and_again_does_not_climb_on():
+    robot = flown((8.0, 1.0), rooms=(((0.0, 0.0, 0.0), (20.0, 2.0, 6.0)),))
+    here, heights = np.array([4.0, 1.0, 1.0]), []
+    for _ in range(5):
+        plan = robot.stop_short(robot.go_to(here, HOME), 2.0)
+        here = plan.goal
+        heights.append(here[2])
+    assert heights[-1] == pytest.approx(HOME[2] + 1.0, abs=0.3)
+    assert max(heights) < HOME[2] + 1.3
 
 
 def test_visiting_two_places_takes_the_ways_between_them():
