@@ -1,13 +1,13 @@
 """Pose graph of keyframes: odometry from one to the next, closed loops, and what is known from outside.
 
-Batch optimisation with gtsam; closures are held to graduated non-convexity (Yang et al., RA-L 2020), which
-finds out by itself which of them bend the graph beyond what odometry allows, and leaves those out.
+Batch optimisation with gtsam; graduated non-convexity (Yang et al., RA-L 2020) finds out which closures bend the
+graph beyond what odometry allows, and leaves those out.
 """
 
 from __future__ import annotations
 
 import heapq
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import gtsam
@@ -15,6 +15,7 @@ import numpy as np
 
 from onboard.core.errors import InputError
 from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.non_convexity import Rounds, chi_square_limit
 
 Key = tuple[int, int]
 """(robot, sequence) of a keyframe."""
@@ -136,19 +137,37 @@ class PoseGraph:
 
     def optimise(self) -> None:
         """Move all poses to where steps, closures and anchors agree best, outlying closures left out."""
+        for _ in self.optimising():
+            pass
+
+    def optimising(self) -> Iterator[None]:
+        """The same in pieces, one at a `next`; poses move in the last piece, keyframes added since along.
+
+        Closures must stay as they are meanwhile.
+        """
         if not self.closures:
             return
         numbers = {key: number for number, key in enumerate(self.poses)}
-        graph, values = self._problem(numbers)
-        firm = graph.size() - len(self.closures)
-        parameters = gtsam.GncLMParams()
-        parameters.setKnownInliers(list(range(firm)))
-        solver = gtsam.GncLMOptimizer(graph, values, parameters)
-        solver.setInlierCostThresholdsAtProbability(self.inlier_probability)
-        result = solver.optimize()
-        self.poses = {key: _from_gtsam(result.atPose3(number)) for key, number in numbers.items()}
-        weights = np.asarray(solver.getWeights())[firm:]
-        self.leave_out({place for place, weight in enumerate(weights) if weight < 0.5})
+        firm, values = self._firm(numbers)
+        yield
+        rounds = Rounds(chi_square_limit(self.inlier_probability), len(self.closures))
+        while not rounds.done:
+            values = _solved(firm, self._tied(numbers, rounds.weights), values)
+            rounds.judge(self._misses(numbers, values))
+            yield
+        later = self._carried({key: _from_gtsam(values.atPose3(number)) for key, number in numbers.items()})
+        self.poses = later
+        self.leave_out({place for place, weight in enumerate(rounds.weights) if weight < 0.5})
+
+    def _carried(self, moved: dict[Key, Pose]) -> dict[Key, Pose]:
+        """Moved poses, and those of keyframes that came meanwhile."""
+        for key in self.poses:
+            if key in self.anchors:
+                moved.setdefault(key, self.poses[key])
+        for step in self.steps:
+            if step.end not in moved:
+                moved[step.end] = moved[step.start].compose(step.motion)
+        return {key: moved[key] for key in self.poses}
 
     def trusted(self) -> list[Closure]:
         """The closures that hold."""
@@ -178,21 +197,32 @@ class PoseGraph:
         """Pose of keyframe `end` seen from `start`, as estimated."""
         return self.poses[start].inverse().compose(self.poses[end])
 
-    def _problem(self, numbers: Mapping[Key, int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
-        """Anchors and steps first, then the closures in their order."""
+    def _firm(self, numbers: Mapping[Key, int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
+        """Anchors and steps, and where to begin."""
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
-        for key, pose in self.poses.items():
-            values.insert(numbers[key], _to_gtsam(pose))
+        for key, number in numbers.items():
+            values.insert(number, _to_gtsam(self.poses[key]))
         for key, anchor in self.anchors.items():
             noise = _noise(anchor.covariance)
             graph.add(gtsam.PriorFactorPose3(numbers[key], _to_gtsam(anchor.pose), noise))
         for step in self.steps:
             covariance = step.covariance + self.drift.covariance(_length(step.motion))
             graph.add(_tie_of(numbers[step.start], numbers[step.end], step.motion, covariance))
-        for closure in self.closures:
-            ends = numbers[closure.older], numbers[closure.newer]
-            graph.add(_tie_of(*ends, closure.motion, closure.covariance))
         return graph, values
+
+    def _tied(self, numbers: Mapping[Key, int], weights: FloatArray) -> gtsam.NonlinearFactorGraph:
+        """The closures, each as sure as its weight allows."""
+        graph = gtsam.NonlinearFactorGraph()
+        for closure, weight in zip(self.closures, weights, strict=True):
+            if weight > 0.0:
+                ends = numbers[closure.older], numbers[closure.newer]
+                graph.add(_tie_of(*ends, closure.motion, closure.covariance / weight))
+        return graph
+
+    def _misses(self, numbers: Mapping[Key, int], values: gtsam.Values) -> FloatArray:
+        """(C,) by how many standard deviations every closure misses, squared."""
+        full = self._tied(numbers, np.ones(len(self.closures)))
+        return np.array([2.0 * full.at(place).error(values) for place in range(full.size())])
 
     def _spread(self, step: Step) -> Spread:
         return _spread_of(step.covariance).further(self.drift.spread(_length(step.motion)))
@@ -214,6 +244,13 @@ class PoseGraph:
             self._tie(step.start, step.end, self._spread(step))
         for closure in self.trusted():
             self._tie(closure.older, closure.newer, NO_SPREAD)
+
+
+def _solved(
+    firm: gtsam.NonlinearFactorGraph, tied: gtsam.NonlinearFactorGraph, values: gtsam.Values
+) -> gtsam.Values:
+    tied.push_back(firm)
+    return gtsam.LevenbergMarquardtOptimizer(tied, values).optimize()
 
 
 def _length(motion: Pose) -> float:

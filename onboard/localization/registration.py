@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass, field
 from enum import Enum
 
@@ -23,6 +24,9 @@ _SLACK_M, _SLACK_RAD = 0.5, 0.05
 _SAME_M, _SAME_RAD = 0.5, 0.1
 
 
+Pieces = Generator[None, None, "Registration"]
+
+
 class Reason(Enum):
     """What came of a registration."""
 
@@ -41,7 +45,10 @@ class RegistrationSettings:
     """When a registration is believed."""
 
     pairs_m: tuple[float, ...] = (1.0, 0.5, 0.3)
-    """Farthest partners in the first, second, ... descent."""
+    """Farthest partners in the first, second, ... descent; the last one is with all points."""
+    iterations: int = 20
+    start_overlap: float = 0.25
+    """No descent begins where less is seen by both."""
     min_points: int = 300
     min_overlap: float = 0.4
     """Share of either submap's points that lies in what the other knows, free or occupied ..."""
@@ -101,19 +108,57 @@ def register(
     settings: RegistrationSettings,
 ) -> Registration:
     """Find the pose of `source`'s frame in that of `target`, which is expected within reach of `guess`."""
+    pieces = registering(target, source, guess, reach_m, turn_rad, settings)
+    while True:
+        try:
+            next(pieces)
+        except StopIteration as end:
+            found: Registration = end.value
+            return found
+
+
+def registering(
+    target: Submap,
+    source: Submap,
+    guess: Pose,
+    reach_m: float,
+    turn_rad: float,
+    settings: RegistrationSettings,
+) -> Pieces:
+    """The same in pieces of some 20 ms of computing, one at a `next`.
+
+    Descents begin with few points; only the best of them is then gone down with all.
+    """
+    yield from _prepared(target, source)
     if min(len(target.points), len(source.points)) < settings.min_points:
         return Registration(Reason.FEW_POINTS)
-    known, seen = target.voxels(), source.voxels()
     starts = [Start(guess, 1.0)]
     if reach_m > settings.alone_m:
-        starts = search(known, source.points, guess, reach_m, turn_rad, settings.search)
-    fits = [
-        _judged(_descended(target, source, start.pose, settings), target, source, known, seen)
-        for start in starts
-    ]
+        starts = search(target.voxels, source.points, guess, reach_m, turn_rad, settings.search)
+        yield
+    fits = []
+    for start in starts:
+        if _overlap(target, source, start.pose) < settings.start_overlap:
+            continue
+        descent = yield from _descended(target, source.few, start.pose, settings.pairs_m[:-1], settings)
+        fits.append(_judged(descent, target, source))
+    if not fits:
+        return Registration(Reason.LITTLE_OVERLAP)
     best = max(fits, key=_merit)
-    reason = _verdict(best, fits, guess, reach_m, turn_rad, settings)
+    ambiguous = any(_rivals(fit, best, settings) for fit in fits)
+    descent = yield from _descended(target, source.cloud, best.pose, settings.pairs_m[-1:], settings)
+    best = _judged(descent, target, source)
+    reason = _verdict(best, ambiguous, guess, reach_m, turn_rad, settings)
     return Registration(reason, best, _covariance(best, settings))
+
+
+def _prepared(target: Submap, source: Submap) -> Generator[None, None, None]:
+    """Submaps work out what they are asked for the first time: here that is done bit by bit."""
+    for submap in (target, source):
+        for part in ("points", "target", "voxels", "few"):
+            if part not in vars(submap):
+                getattr(submap, part)
+                yield
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,12 +170,17 @@ class _Descent:
     hold: FloatArray
 
 
-def _descended(target: Submap, source: Submap, start: Pose, settings: RegistrationSettings) -> _Descent:
+def _descended(
+    target: Submap,
+    moving: small_gicp.PointCloud,
+    start: Pose,
+    all_pairs_m: tuple[float, ...],
+    settings: RegistrationSettings,
+) -> Generator[None, None, _Descent]:
     """GICP (Segal et al., RSS 2009) with partners ever nearer."""
     cloud, tree = target.target
-    moving, _ = source.target
     transform = start.matrix()
-    for pairs_m in settings.pairs_m:
+    for pairs_m in all_pairs_m:
         result = small_gicp.align(
             cloud,
             moving,
@@ -139,8 +189,10 @@ def _descended(target: Submap, source: Submap, start: Pose, settings: Registrati
             registration_type="GICP",
             max_correspondence_distance=pairs_m,
             num_threads=1,
+            max_iterations=settings.iterations,
         )
         transform = result.T_target_source
+        yield
     count = max(int(result.num_inliers), 1)
     hessian = np.asarray(result.H)[np.ix_(_SWAP, _SWAP)] * _GICP_UNIT
     return _Descent(
@@ -152,10 +204,16 @@ def _descended(target: Submap, source: Submap, start: Pose, settings: Registrati
     )
 
 
-def _judged(descent: _Descent, target: Submap, source: Submap, known: VoxelMap, seen: VoxelMap) -> Fit:
+def _overlap(target: Submap, source: Submap, pose: Pose) -> float:
+    """Share of the points of either that lie in what the other knows, the smaller one."""
+    there = _seen_by(target.voxels, source.points, pose)
+    return min(there[0], _seen_by(source.voxels, target.points, pose.inverse())[0])
+
+
+def _judged(descent: _Descent, target: Submap, source: Submap) -> Fit:
     """Look from both sides: points of each in what the other knows."""
-    there = _seen_by(known, source.points, descent.pose)
-    back = _seen_by(seen, target.points, descent.pose.inverse())
+    there = _seen_by(target.voxels, source.points, descent.pose)
+    back = _seen_by(source.voxels, target.points, descent.pose.inverse())
     overlap, agreement = min(there[0], back[0]), min(there[1], back[1])
     return Fit(
         descent.pose, descent.inliers, descent.rms_m, overlap, agreement, descent.hessian, descent.hold
@@ -175,7 +233,7 @@ def _merit(fit: Fit) -> float:
 
 
 def _verdict(
-    best: Fit, fits: list[Fit], guess: Pose, reach_m: float, turn_rad: float, settings: RegistrationSettings
+    best: Fit, ambiguous: bool, guess: Pose, reach_m: float, turn_rad: float, settings: RegistrationSettings
 ) -> Reason:
     moved = between(guess, best.pose)
     if best.overlap < settings.min_overlap:
@@ -187,9 +245,7 @@ def _verdict(
         return Reason.OUTSIDE
     if best.hold[0] < settings.min_hold:
         return Reason.DEGENERATE
-    if any(_rivals(fit, best, settings) for fit in fits):
-        return Reason.AMBIGUOUS
-    return Reason.ACCEPTED
+    return Reason.AMBIGUOUS if ambiguous else Reason.ACCEPTED
 
 
 def _rivals(fit: Fit, best: Fit, settings: RegistrationSettings) -> bool:

@@ -25,6 +25,8 @@ class SubmapSettings:
     range_m: float = 20.0
     point_m: float = 0.2
     """One point per cube of this size."""
+    few_m: float = 0.5
+    """One point per cube of this size where a few do."""
     neighbours: int = 14
 
 
@@ -46,11 +48,21 @@ class Submap:
     @cached_property
     def target(self) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
         """The points with their covariances, and a search tree."""
-        cloud = small_gicp.PointCloud(self.points)
-        tree = small_gicp.KdTree(cloud)
-        small_gicp.estimate_normals_covariances(cloud, tree, self.settings.neighbours)
-        return cloud, tree
+        return _with_covariances(self.points, self.settings.neighbours)
 
+    @property
+    def cloud(self) -> small_gicp.PointCloud:
+        """The points with their covariances."""
+        return self.target[0]
+
+    @cached_property
+    def few(self) -> small_gicp.PointCloud:
+        """Fewer points with their covariances."""
+        thinned = small_gicp.voxelgrid_sampling(self.cloud, self.settings.few_m)
+        points = np.asarray(thinned.points()[:, :3], dtype=np.float64)
+        return _with_covariances(points, self.settings.neighbours)[0]
+
+    @cached_property
     def voxels(self) -> VoxelMap:
         """What is known free and occupied around the keyframe."""
         known = VoxelMap(VOXEL_M, self.settings.range_m)
@@ -63,3 +75,10 @@ class Submap:
     def _near(self, scan: Scan) -> FloatArray:
         points = scan.points()
         return np.asarray(points[np.einsum("ij,ij->i", points, points) <= self.settings.range_m**2])
+
+
+def _with_covariances(points: FloatArray, neighbours: int) -> tuple[small_gicp.PointCloud, small_gicp.KdTree]:
+    cloud = small_gicp.PointCloud(points)
+    tree = small_gicp.KdTree(cloud)
+    small_gicp.estimate_normals_covariances(cloud, tree, neighbours)
+    return cloud, tree
