@@ -8,12 +8,16 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import dijkstra
+from scipy.spatial import cKDTree
 
 from onboard.core.geometry import FloatArray, Pose
 from onboard.localization.corrections import moved_far
 
 _FILE = Path(__file__).with_name("tracks.npz")
 _STEP_M = 0.1
+_HOME_M, _BESIDE_M = 2.0, 0.7
 SWAY_RAD = 0.026
 """Standard deviation of roll and pitch."""
 HEIGHTS_M = {"ground": 0.7, "partner": 0.7, "aerial": 0.05}
@@ -67,9 +71,28 @@ def recorded(plan: Plan) -> Track:
     along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(points, axis=0), axis=1))])
     wanted = np.arange(0.0, along[-1], _STEP_M)
     even = np.stack([np.interp(wanted, along, points[:, axis]) for axis in range(3)], axis=-1)
+    even, stamps_s = _brought_home(even, np.interp(wanted, along, stamps))
     even = gaussian_filter1d(even, 3.0, axis=0, mode="nearest")
     even[:, 2] += HEIGHTS_M[plan.robot]
-    return Track(np.interp(wanted, along, stamps), _looking_ahead(even, plan))
+    return Track(stamps_s, _looking_ahead(even, plan))
+
+
+def _brought_home(points: FloatArray, stamps_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Where a recording stops elsewhere, the shortest way back along it is added, at 1 m/s."""
+    if np.linalg.norm(points[-1] - points[0]) < _HOME_M:
+        return points, stamps_s
+    pairs = cKDTree(points).query_pairs(_BESIDE_M, output_type="ndarray")
+    lengths = np.linalg.norm(points[pairs[:, 0]] - points[pairs[:, 1]], axis=1)
+    graph = coo_matrix((lengths, pairs.T), shape=(len(points), len(points))).tocsr()
+    before = dijkstra(graph, directed=False, indices=0, return_predecessors=True)[1]
+    way = [int(before[-1])]
+    while way[-1] != 0:
+        way.append(int(before[way[-1]]))
+    ends = np.concatenate([points[-1:], points[way]])
+    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ends, axis=0), axis=1))])
+    wanted = np.arange(_STEP_M, along[-1], _STEP_M)
+    even = np.stack([np.interp(wanted, along, ends[:, axis]) for axis in range(3)], axis=-1)
+    return np.concatenate([points, even]), np.concatenate([stamps_s, stamps_s[-1] + wanted])
 
 
 def _looking_ahead(points: FloatArray, plan: Plan) -> list[Pose]:

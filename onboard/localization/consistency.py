@@ -6,7 +6,7 @@ both, and along odometry between their ends, comes back to where it began, as ne
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -46,24 +46,35 @@ class Tracks:
     """Where every robot's own sensors put its keyframes, closures unheeded: ways and their lengths."""
 
     def __init__(self) -> None:
-        self._at: dict[Key, tuple[float, Pose]] = {}
+        self._poses: dict[int, dict[int, Pose]] = {}
+        self._along_m: dict[int, dict[int, float]] = {}
+        """By robot; missing where it has to be worked out anew."""
 
     def go_on(self, start: Key | None, end: Key, motion: Pose) -> None:
         """Next keyframe of a track; its first one has no start, and `motion` is its pose."""
-        along_m, pose = (0.0, Pose.identity()) if start is None else self._at[start]
-        step_m = 0.0 if start is None else _length(motion)
-        self._at[end] = along_m + step_m, pose.compose(motion)
+        before = Pose.identity() if start is None else self._poses[start[0]][start[1]]
+        self.put(end, before.compose(motion))
 
-    def put(self, key: Key, along_m: float, pose: Pose) -> None:
-        """A keyframe of a track that is told as poses, so far along it."""
-        self._at[key] = along_m, pose
+    def put(self, key: Key, pose: Pose) -> None:
+        """A keyframe of a track that is told as poses, in any order."""
+        self._poses.setdefault(key[0], {})[key[1]] = pose
+        self._along_m.pop(key[0], None)
 
     def way(self, start: Key, end: Key) -> tuple[Pose, float] | None:
         """Motion and length from one keyframe to another; None between robots."""
         if start[0] != end[0]:
             return None
-        (start_m, pose), (end_m, other) = self._at[start], self._at[end]
-        return pose.inverse().compose(other), abs(end_m - start_m)
+        poses, along_m = self._poses[start[0]], self._lengths(start[0])
+        motion = poses[start[1]].inverse().compose(poses[end[1]])
+        return motion, abs(along_m[end[1]] - along_m[start[1]])
+
+    def _lengths(self, robot: int) -> dict[int, float]:
+        if robot not in self._along_m:
+            numbers = sorted(self._poses[robot])
+            positions = np.array([self._poses[robot][number].position for number in numbers])
+            steps = np.linalg.norm(np.diff(positions, axis=0, prepend=positions[:1]), axis=1)
+            self._along_m[robot] = dict(zip(numbers, np.cumsum(steps).tolist(), strict=True))
+        return self._along_m[robot]
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,33 +110,57 @@ def consistent(
 
     Closures that odometry does not relate agree.
     """
-    friends, confirms = _related(found, tracks, drift, settings)
-    sure = [entry.reach_m <= settings.sure_m for entry in found]
-    eligible = [place for place in range(len(found)) if sure[place] or confirms[place]]
-    among = [sum((friends[i] >> j & 1) << k for k, j in enumerate(eligible)) for i in eligible]
-    chosen = [eligible[place] for place in largest_clique(among)]
-    return [i for i in chosen if sure[i] or any(confirms[i] >> other & 1 for other in chosen)]
+    relations = Relations(drift, settings)
+    for entry in found:
+        relations.add(entry, tracks)
+    return relations.consistent()
 
 
-def _related(
-    found: Sequence[Found], tracks: Tracks, drift: DriftModel, settings: ConsistencySettings
-) -> tuple[list[int], list[int]]:
-    """For every closure the bits of those that it agrees with, and of those that confirm it."""
-    count = len(found)
-    friends, confirms = [(1 << count) - 1] * count, [0] * count
-    for i in range(count):
-        for j in range(i):
-            judged = agreement(found[i].closure, found[j].closure, tracks, drift, settings)
-            if judged is None:
-                continue
-            if not judged.holds:
-                friends[i] &= ~(1 << j)
-                friends[j] &= ~(1 << i)
-            elif judged.apart_m >= settings.apart_m:
-                for one, other in ((i, j), (j, i)):
-                    if judged.tolerance_m <= settings.certainty * found[one].reach_m:
-                        confirms[one] |= 1 << other
-    return friends, confirms
+class Relations:
+    """Found closures, and which of them agree with and confirm each other."""
+
+    def __init__(self, drift: DriftModel, settings: ConsistencySettings) -> None:
+        self.found: list[Found] = []
+        self._drift, self._settings = drift, settings
+        self._friends: list[int] = []
+        self._confirmed: list[int] = []
+        """For every closure the bits of those that it agrees with, and of those that confirm it."""
+
+    def add(self, entry: Found, tracks: Tracks) -> None:
+        """Compare a new closure with all before."""
+        place = len(self.found)
+        self.found.append(entry)
+        self._friends.append(1 << place)
+        self._confirmed.append(0)
+        for other in range(place):
+            self._relate(place, other, tracks)
+
+    def anew(self, tracks: Tracks) -> Iterator[None]:
+        """Compare all once more, one at a `next`: tracks have changed."""
+        found, self.found, self._friends, self._confirmed = self.found, [], [], []
+        for entry in found:
+            self.add(entry, tracks)
+            yield
+
+    def consistent(self) -> list[int]:
+        """Places of the closures to be trusted."""
+        everyone = range(len(self.found))
+        sure = [entry.reach_m <= self._settings.sure_m for entry in self.found]
+        eligible = [place for place in everyone if sure[place] or self._confirmed[place]]
+        among = [sum((self._friends[i] >> j & 1) << k for k, j in enumerate(eligible)) for i in eligible]
+        chosen = [eligible[place] for place in largest_clique(among)]
+        return [i for i in chosen if sure[i] or any(self._confirmed[i] >> other & 1 for other in chosen)]
+
+    def _relate(self, i: int, j: int, tracks: Tracks) -> None:
+        judged = agreement(self.found[i].closure, self.found[j].closure, tracks, self._drift, self._settings)
+        if judged is None or judged.holds:
+            self._friends[i] |= 1 << j
+            self._friends[j] |= 1 << i
+        if judged is None or not judged.holds or judged.apart_m < self._settings.apart_m:
+            return
+        for one, other in ((i, j), (j, i)):
+            if judged.tolerance_m <= self._settings.certainty * self.found[one].reach_m:
+                self._confirmed[one] |= 1 << other
 
 
 def largest_clique(friends: Sequence[int]) -> list[int]:
@@ -144,7 +179,7 @@ def largest_clique(friends: Sequence[int]) -> list[int]:
 class _Clique:
     masks: list[int]
     best: int = 0
-    branches: int = 20_000
+    branches: int = 500
 
     def grow(self, chosen: int, size: int, candidates: int) -> None:
         order = self._coloured(candidates)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Callable, Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -11,7 +12,7 @@ from onboard.core.geometry import FloatArray, Pose
 from onboard.core.lidar import Scan
 from onboard.localization.consistency import Found
 from onboard.localization.pose_graph import Closure, Key, PoseGraph, Spread
-from onboard.localization.registration import Reason, Registration, RegistrationSettings, register
+from onboard.localization.registration import Reason, Registration, RegistrationSettings, registering
 from onboard.localization.submaps import Submap, SubmapSettings
 
 ScanOf = Callable[[Key], Scan | None]
@@ -58,23 +59,55 @@ class Verified:
     found: Found | None
 
 
-def propose(graph: PoseGraph, key: Key, settings: LoopSettings) -> list[Candidate]:
-    """Loops that keyframe `key` may close, the nearest first."""
+class Refusals:
+    """Loops looked at in vain: their neighbours are passed over, more of them after every further one."""
+
+    def __init__(self, beside: int = 4, least: int = 2, most: int = 12) -> None:
+        """Neighbours: `beside` keyframes about the older one, `least` to `most` about the newer one."""
+        self._beside, self._least, self._most = beside, least, most
+        self._kept: deque[tuple[Candidate, int]] = deque(maxlen=200)
+
+    def note(self, candidate: Candidate) -> None:
+        """It was refused."""
+        widths = [width for other, width in self._kept if self._near(other, candidate, width + self._least)]
+        width = min(2 * max(widths), self._most) if widths else self._least
+        self._kept.append((candidate, width))
+
+    def cover(self, candidate: Candidate) -> bool:
+        """Whether it is a neighbour of a refused one."""
+        return any(self._near(other, candidate, width) for other, width in self._kept)
+
+    def clear(self) -> None:
+        """Estimates have changed."""
+        self._kept.clear()
+
+    def _near(self, a: Candidate, b: Candidate, width: int) -> bool:
+        same = a.older[0] == b.older[0] and a.newer[0] == b.newer[0]
+        return same and abs(a.older[1] - b.older[1]) <= self._beside and abs(a.newer[1] - b.newer[1]) <= width
+
+
+def propose(graph: PoseGraph, key: Key, robot: int, settings: LoopSettings) -> list[Candidate]:
+    """Loops of `robot` that keyframe `key` may close, the nearest first.
+
+    A peer's keyframe is the older one of a loop.
+    """
     here = graph.poses[key].position
     options = []
     for other, spread in graph.spreads_from(key).items():
-        if spread.length_m < settings.way_m:
+        if spread.length_m < settings.way_m or robot not in (key[0], other[0]):
             continue
         reach_m, turn_rad = _reach(spread, settings)
         apart = np.abs(graph.poses[other].position - here)
-        if np.hypot(apart[0], apart[1]) <= settings.near_m + reach_m and apart[2] <= settings.above_m + reach_m:
-            distance_m = float(np.hypot(apart[0], apart[1]) + settings.near_m / settings.above_m * apart[2])
-            options.append((distance_m, Candidate(other, key, reach_m, turn_rad)))
+        beside_m = float(np.hypot(apart[0], apart[1]))
+        if beside_m <= settings.near_m + reach_m and apart[2] <= settings.above_m + reach_m:
+            distance_m = beside_m + settings.near_m / settings.above_m * float(apart[2])
+            ends = (key, other) if key[0] != robot else (other, key)
+            options.append((distance_m, Candidate(*ends, reach_m, turn_rad)))
     return _apart(graph, [candidate for _, candidate in sorted(options, key=_order)], settings)
 
 
-def _order(option: tuple[float, Candidate]) -> tuple[float, Key]:
-    return option[0], option[1].older
+def _order(option: tuple[float, Candidate]) -> tuple[float, Key, Key]:
+    return option[0], option[1].older, option[1].newer
 
 
 def _reach(spread: Spread, settings: LoopSettings) -> tuple[float, float]:
@@ -86,13 +119,17 @@ def _reach(spread: Spread, settings: LoopSettings) -> tuple[float, float]:
 def _apart(graph: PoseGraph, ranked: list[Candidate], settings: LoopSettings) -> list[Candidate]:
     chosen: list[Candidate] = []
     for candidate in ranked:
-        place = graph.poses[candidate.older].position
-        others = [graph.poses[other.older].position for other in chosen]
-        if all(np.linalg.norm(place - other) >= settings.tries_apart_m for other in others):
+        if all(_places_apart(graph, candidate, other) >= settings.tries_apart_m for other in chosen):
             chosen.append(candidate)
         if len(chosen) == settings.tries:
             break
     return chosen
+
+
+def _places_apart(graph: PoseGraph, a: Candidate, b: Candidate) -> float:
+    """Metres between the keyframes that are not shared."""
+    ends = [(a.older, b.older), (a.newer, b.newer)]
+    return max(float(np.linalg.norm(graph.poses[i].position - graph.poses[j].position)) for i, j in ends)
 
 
 def submap_of(graph: PoseGraph, key: Key, scan_of: ScanOf, settings: SubmapSettings) -> Submap | None:
@@ -124,16 +161,16 @@ def _along(graph: PoseGraph, key: Key, direction: int, settings: SubmapSettings)
     return found
 
 
-def verify(
+def verifying(
     graph: PoseGraph, candidate: Candidate, older: Submap, newer: Submap, settings: RegistrationSettings
-) -> Verified:
-    """Register the surroundings of the newer keyframe to those of the older one.
+) -> Generator[None, None, Verified]:
+    """Register the surroundings of the newer keyframe to those of the older one, a piece at a `next`.
 
     The submaps are as bent as odometry makes them over their length: so much is added to the covariance.
     """
     at, now = graph.poses[candidate.older], graph.poses[candidate.newer]
     guess = Pose(now.position - at.position, Pose.identity().quaternion)
-    result = register(older, newer, guess, candidate.reach_m, candidate.turn_rad, settings)
+    result = yield from registering(older, newer, guess, candidate.reach_m, candidate.turn_rad, settings)
     if result.reason is not Reason.ACCEPTED or result.fit is None or result.covariance is None:
         return Verified(candidate, result, None)
     # the submaps' axes are the map's: from there to the keyframes' own

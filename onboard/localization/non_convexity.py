@@ -1,4 +1,4 @@
-"""Graduated non-convexity: which of many measurements are outliers, found in rounds of weighted least squares."""
+"""Graduated non-convexity: outliers among measurements, found in rounds of weighted least squares."""
 
 from __future__ import annotations
 

@@ -1,7 +1,7 @@
 """Pose graph of keyframes: odometry from one to the next, closed loops, and what is known from outside.
 
-Batch optimisation with gtsam; graduated non-convexity (Yang et al., RA-L 2020) finds out which closures bend the
-graph beyond what odometry allows, and leaves those out.
+Batch optimisation with gtsam; graduated non-convexity (Yang et al., RA-L 2020) finds out which closures bend
+the graph beyond what odometry allows, and leaves those out.
 """
 
 from __future__ import annotations
@@ -106,17 +106,14 @@ class PoseGraph:
     closures: list[Closure] = field(default_factory=list)
     refused: set[int] = field(default_factory=set)
     """Places in `closures` of those that the last optimisation left out."""
-    _edges: dict[Key, list[tuple[Key, Spread]]] = field(default_factory=dict)
+    _edges: dict[Key, list[tuple[Key, Spread]]] | None = None
+    """None where they have to be collected anew."""
 
     def anchor(self, key: Key, anchor: Anchor) -> None:
         """Add a keyframe whose pose is known from outside, or say anew where it is."""
-        known = key in self.poses
         self.poses[key] = anchor.pose
         self.anchors[key] = anchor
-        if known:
-            self._tie_all()
-        else:
-            self._tie(_MAP, key, _spread_of(anchor.covariance))
+        self._edges = None
 
     def add_step(self, step: Step) -> Pose:
         """Add keyframe `step.end`; its pose as far as odometry tells. Raises InputError out of order."""
@@ -124,7 +121,8 @@ class PoseGraph:
             raise InputError(f"odometry from keyframe {step.start} to {step.end}: not the next one")
         self.poses[step.end] = self.poses[step.start].compose(step.motion)
         self.steps.append(step)
-        self._tie(step.start, step.end, self._spread(step))
+        if self._edges is not None:
+            _tie(self._edges, step.start, step.end, self._spread(step))
         return self.poses[step.end]
 
     def close(self, closures: Sequence[Closure]) -> None:
@@ -179,6 +177,7 @@ class PoseGraph:
         Errors of the steps are added as if all of them pointed the same way; keyframes without such a way are
         left out.
         """
+        edges = self._edges = self._edges or self._collected()
         settled: dict[Key, Spread] = {}
         queue: list[tuple[float, Key, Spread]] = [(0.0, key, NO_SPREAD)]
         while queue:
@@ -186,7 +185,7 @@ class PoseGraph:
             if here in settled:
                 continue
             settled[here] = spread
-            for other, step in self._edges.get(here, ()):
+            for other, step in edges.get(here, ()):
                 if other not in settled:
                     further = spread.further(step)
                     heapq.heappush(queue, (further.shift_m, other, further))
@@ -227,23 +226,26 @@ class PoseGraph:
     def _spread(self, step: Step) -> Spread:
         return _spread_of(step.covariance).further(self.drift.spread(_length(step.motion)))
 
-    def _tie(self, a: Key, b: Key, spread: Spread) -> None:
-        self._edges.setdefault(a, []).append((b, spread))
-        self._edges.setdefault(b, []).append((a, spread))
-
     def leave_out(self, places: set[int]) -> None:
         """Do not trust the closures at these places: ways through them do not count."""
         self.refused = places
-        self._tie_all()
+        self._edges = None
 
-    def _tie_all(self) -> None:
-        self._edges = {}
+    def _collected(self) -> dict[Key, list[tuple[Key, Spread]]]:
+        """What ties every keyframe to others."""
+        edges: dict[Key, list[tuple[Key, Spread]]] = {}
         for key, anchor in self.anchors.items():
-            self._tie(_MAP, key, _spread_of(anchor.covariance))
+            _tie(edges, _MAP, key, _spread_of(anchor.covariance))
         for step in self.steps:
-            self._tie(step.start, step.end, self._spread(step))
+            _tie(edges, step.start, step.end, self._spread(step))
         for closure in self.trusted():
-            self._tie(closure.older, closure.newer, NO_SPREAD)
+            _tie(edges, closure.older, closure.newer, NO_SPREAD)
+        return edges
+
+
+def _tie(edges: dict[Key, list[tuple[Key, Spread]]], a: Key, b: Key, spread: Spread) -> None:
+    edges.setdefault(a, []).append((b, spread))
+    edges.setdefault(b, []).append((a, spread))
 
 
 def _solved(

@@ -129,21 +129,21 @@ def registering(
 
     Descents begin with few points; only the best of them is then gone down with all.
     """
-    yield from _prepared(target, source)
+    yield from _prepared(target, source, ("points", "voxels"))
     if min(len(target.points), len(source.points)) < settings.min_points:
         return Registration(Reason.FEW_POINTS)
     starts = [Start(guess, 1.0)]
     if reach_m > settings.alone_m:
         starts = search(target.voxels, source.points, guess, reach_m, turn_rad, settings.search)
         yield
+    starts = [s for s in starts if _overlap(target, source, s.pose) >= settings.start_overlap]
+    if not starts:
+        return Registration(Reason.LITTLE_OVERLAP)
+    yield from _prepared(target, source, ("target", "few"))
     fits = []
     for start in starts:
-        if _overlap(target, source, start.pose) < settings.start_overlap:
-            continue
         descent = yield from _descended(target, source.few, start.pose, settings.pairs_m[:-1], settings)
         fits.append(_judged(descent, target, source))
-    if not fits:
-        return Registration(Reason.LITTLE_OVERLAP)
     best = max(fits, key=_merit)
     ambiguous = any(_rivals(fit, best, settings) for fit in fits)
     descent = yield from _descended(target, source.cloud, best.pose, settings.pairs_m[-1:], settings)
@@ -152,10 +152,10 @@ def registering(
     return Registration(reason, best, _covariance(best, settings))
 
 
-def _prepared(target: Submap, source: Submap) -> Generator[None, None, None]:
+def _prepared(target: Submap, source: Submap, parts: tuple[str, ...]) -> Generator[None, None, None]:
     """Submaps work out what they are asked for the first time: here that is done bit by bit."""
     for submap in (target, source):
-        for part in ("points", "target", "voxels", "few"):
+        for part in parts:
             if part not in vars(submap):
                 getattr(submap, part)
                 yield
