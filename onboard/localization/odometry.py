@@ -1,93 +1,77 @@
-"""LiDAR odometry: GICP registration of every scan against a submap of the last key scans.
-
-Generalised ICP (Segal et al., RSS 2009) from small_gicp; point-to-point methods drag behind a wide-angle
-sensor because the rings on floor and ceiling travel with it.
-"""
+"""LiDAR odometry: every scan is registered to planes of the scans before, with what other sensors tell."""
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from enum import Enum
 
 import numpy as np
-import small_gicp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.alignment import Alignment, AlignmentSettings, align
+from onboard.localization.lie import between, retract, transport
+from onboard.localization.plane_map import GRID_TURN, PlaneMap
+from onboard.localization.prediction import Belief, MotionSettings, Prediction, predict, sweep_knots
+from onboard.localization.reckoning import Increment, Reckoning
+from onboard.localization.thinning import KNOTS, Thinned, Thinner, undistort
 
 Points = NDArray[np.float32]
+_GRID = Pose.from_matrix(np.block([[GRID_TURN, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
+
+
+class Status(Enum):
+    """How well the last scan told where the sensor is."""
+
+    TRACKING = "tracking"
+    DEGENERATE = "degenerate"
+    """The scan fits, but along some directions the pose is predicted only."""
+    LOST = "lost"
+    """The scan does not fit: the pose is the prediction."""
 
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
     """Tuning of the odometry; the defaults suit 10 Hz scans of a walking-pace robot in and out of doors."""
 
-    downsampling_m: float = 0.25
+    cell_m: float = 0.2
+    """Points are thinned to one per cube of at least this size ..."""
+    points: int = 4000
+    """... and of such a size that about so many are left."""
     min_range_m: float = 0.4
     max_range_m: float = 60.0
-    neighbours: int = 12
-    key_scans: int = 20
-    key_translation_m: float = 0.5
-    key_rotation_rad: float = 0.35
-    search_m: tuple[float, ...] = (1.0, 0.5)
-    """Correspondence distances: a wide pass catches the prediction's error, a tight one drops outliers."""
-    wide_search_m: tuple[float, ...] = (3.0, 1.0, 0.5)
-    """The same for the second attempt, which starts from the last pose instead of the prediction."""
+    map_radius_m: float = 80.0
+    max_cells: int = 200_000
+    key_translation_m: float = 0.3
+    key_rotation_rad: float = 0.2
+    first_scans: int = 5
     min_points: int = 60
-    min_inlier_ratio: float = 0.45
+    min_matched: float = 0.2
+    """Share of the points that must meet a known plane ..."""
+    min_fitting: float = 0.6
+    """... and share of those that must lie on it."""
     max_speed_m_s: float = 15.0
     max_correction_m: float = 3.0
     """Farther than this from where the search started a match is a look-alike."""
+    alignment: AlignmentSettings = AlignmentSettings()
+    motion: MotionSettings = MotionSettings()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OdometryResult:
-    """Outcome of one step.
-
-    `pose` is the sensor in the odometry frame (the first scan's sensor frame) at the scan's stamp; when
-    `converged` is false it is the last good pose. `inlier_ratio` is the share of downsampled points that
-    found a partner, `error` the mean GICP cost of those. `points` are the scan's finite points, motion within
-    the sweep taken out.
-    """
+    """Outcome of one step."""
 
     pose: Pose
     converged: bool
     inlier_ratio: float
     error: float
     points: Points
-
-
-@dataclass(slots=True, eq=False)
-class _Submap:
-    """Registration target: the last key scans in the odometry frame, voxelised together."""
-
-    settings: OdometrySettings
-    scans: deque[FloatArray] = field(init=False)
-    cloud: small_gicp.PointCloud = field(init=False)
-    tree: small_gicp.KdTree = field(init=False)
-    key_pose: Pose = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.scans = deque(maxlen=self.settings.key_scans)
-
-    def add(self, points: FloatArray, pose: Pose) -> None:
-        """Take in a downsampled key scan given in the sensor frame."""
-        self.scans.append(points @ pose.rotation.T + pose.position)
-        self.key_pose = pose
-        near = np.concatenate(self.scans)
-        near = near[np.linalg.norm(near - pose.position, axis=1) < self.settings.max_range_m]
-        self.cloud, self.tree = small_gicp.preprocess_points(
-            near, self.settings.downsampling_m, self.settings.neighbours
-        )
-
-    def wants(self, pose: Pose) -> bool:
-        """Whether the robot has moved enough since the last key scan."""
-        step = self.key_pose.inverse().compose(pose)
-        return bool(
-            np.linalg.norm(step.position) > self.settings.key_translation_m
-            or _angle(step) > self.settings.key_rotation_rad
-        )
+    status: Status
+    reason: str
+    covariance: FloatArray
+    twist: FloatArray
+    free: FloatArray
+    alignment: Alignment | None = None
 
 
 class Odometry:
@@ -95,116 +79,100 @@ class Odometry:
 
     def __init__(self, settings: OdometrySettings | None = None) -> None:
         self._settings = settings or OdometrySettings()
-        self._submap = _Submap(self._settings)
-        self._pose = Pose.identity()
-        self._stamp_s: float | None = None
-        self._linear_m_s = np.zeros(3)
-        self._angular_rad_s = np.zeros(3)
+        self._map = PlaneMap(self._settings.max_cells)
+        self._thin = Thinner()
+        self._cell_m = self._settings.cell_m
+        self._belief: Belief | None = None
+        self._drift = np.zeros((6, 6))
+        self._key_pose = _GRID
+        self._scans = 0
+        self.reckoning = Reckoning()
 
     @property
     def pose(self) -> Pose:
         """Last good pose."""
-        return self._pose
+        return Pose.identity() if self._belief is None else _GRID.inverse().compose(self._belief.pose)
+
+    def carry(self, increment: Increment) -> None:
+        self.reckoning.add(increment)
 
     def step(self, points: Points, stamp_s: float, offsets_s: Points | None = None) -> OdometryResult:
-        """Register a scan.
-
-        `points` (N, 3) in metres in the sensor frame; `offsets_s` (N,) seconds of every point relative to
-        `stamp_s`, with which the motion during the sweep is taken out. A scan that does not fit (too few
-        points, too few inliers, an impossible jump) leaves the pose as it was.
-        """
         finite = np.isfinite(points).all(axis=1)
-        still = self._undistorted(points[finite], None if offsets_s is None else offsets_s[finite])
-        source = self._prepared(still)
-        if source is None:
-            return OdometryResult(self._pose, False, 0.0, np.inf, still)
-        if self._stamp_s is None:
-            self._stamp_s = stamp_s
-            self._submap.add(source.points()[:, :3], self._pose)
-            return OdometryResult(self._pose, True, 1.0, 0.0, still)
-        pose, ratio, error = self._registered(source, stamp_s)
-        if pose is None:
-            self._linear_m_s, self._angular_rad_s = np.zeros(3), np.zeros(3)
-            return OdometryResult(self._pose, False, ratio, error, still)
-        self._advance(pose, stamp_s)
-        if self._submap.wants(pose):
-            self._submap.add(source.points()[:, :3], pose)
-        return OdometryResult(pose, True, ratio, error, still)
+        raw = np.ascontiguousarray(points[finite], dtype=np.float32)
+        offsets = np.zeros(len(raw), dtype=np.float32) if offsets_s is None else offsets_s[finite]
+        belief = self._belief or Belief.first(stamp_s, _GRID, self._settings.motion)
+        prediction = predict(belief, stamp_s, self.reckoning, self._settings.motion)
+        still = self._undistorted(raw, offsets, prediction, np.zeros(6))
+        thinned = self._thinned(still, offsets)
+        if len(thinned.points) < self._settings.min_points:
+            return self._lost("too few points", still, prediction, 0.0)
+        if self._belief is None:
+            self._belief = belief
+            self._insert(thinned, belief.pose, np.zeros(6))
+            return self._result(Status.TRACKING, "", still, None, 1.0, 0.0)
+        prior = np.linalg.inv(prediction.covariance)
+        found = align(self._map, self._few(thinned), prediction.pose, prior, self._settings.alignment, (self._settings.motion.acceleration**2, self._settings.motion.turn_acceleration**2))
+        reason = self._refused(found, self._few(thinned), prediction)
+        ratio = found.fitting / len(self._few(thinned).points)
+        if reason:
+            return self._lost(reason, still, prediction, ratio)
+        self._belief = Belief(stamp_s, found.pose, prediction.twist + found.twist, found.covariance)
+        if self._wants(found.pose):
+            self._insert(thinned, found.pose, found.twist)
+        if offsets_s is not None:
+            still = self._undistorted(raw, offsets, prediction, found.twist)
+        weak = found.conditioning.weak
+        status = Status.DEGENERATE if weak else Status.TRACKING
+        return self._result(status, "", still, found, ratio, found.mean_square)
 
-    def _prepared(self, points: Points) -> small_gicp.PointCloud | None:
-        """The downsampled source with covariances, or None when too little of it is in range."""
-        distance = np.linalg.norm(points, axis=1)
-        kept = (distance > self._settings.min_range_m) & (distance < self._settings.max_range_m)
-        if int(kept.sum()) < self._settings.min_points:
-            return None
-        cloud, _ = small_gicp.preprocess_points(
-            points[kept].astype(np.float64), self._settings.downsampling_m, self._settings.neighbours
-        )
-        return cloud if cloud.size() >= self._settings.min_points else None
+    def _undistorted(self, raw: Points, offsets: Points, prediction: Prediction, twist: FloatArray) -> Points:
+        low, high = (float(offsets.min()), float(offsets.max())) if len(offsets) else (0.0, 0.0)
+        if high - low < 1e-6:
+            return raw
+        spacing_s = (high - low) / (KNOTS - 1)
+        knots = sweep_knots(prediction, twist, self.reckoning, low, spacing_s)
+        return undistort(raw, offsets, low, spacing_s, knots)
 
-    def _registered(self, source: small_gicp.PointCloud, stamp_s: float) -> tuple[Pose | None, float, float]:
-        """Best pose from the predicted start, else from the last pose; None when neither fits."""
-        ratio, error = 0.0, np.inf
-        starts = (
-            (self._predicted(stamp_s), self._settings.search_m),
-            (self._pose, self._settings.wide_search_m),
-        )
-        for start, search_m in starts:
-            transform, ratio, error = self._aligned(source, start.matrix(), search_m)
-            pose = Pose.from_matrix(transform)
-            if ratio >= self._settings.min_inlier_ratio and self._possible(pose, start, stamp_s):
-                return pose, ratio, error
-        return None, ratio, error
+    def _thinned(self, still: Points, offsets: Points) -> Thinned:
+        limits = (self._settings.min_range_m, self._settings.max_range_m)
+        return self._thin(still, offsets, self._settings.cell_m, limits)
 
-    def _aligned(
-        self, source: small_gicp.PointCloud, transform: FloatArray, search_m: tuple[float, ...]
-    ) -> tuple[FloatArray, float, float]:
-        ratio, error = 0.0, np.inf
-        for distance_m in search_m:
-            result = small_gicp.align(
-                self._submap.cloud,
-                source,
-                self._submap.tree,
-                init_T_target_source=transform,
-                registration_type="GICP",
-                max_correspondence_distance=distance_m,
-                num_threads=1,
-            )
-            transform = result.T_target_source
-            ratio = result.num_inliers / source.size()
-            error = result.error / max(result.num_inliers, 1)
-        return transform, float(ratio), float(error)
+    def _few(self, dense: Thinned) -> Thinned:
+        count = len(dense.points)
+        if count <= self._settings.points:
+            return dense
+        rows = np.arange(self._settings.points) * count // self._settings.points
+        return Thinned(dense.points[rows], dense.offsets_s[rows], dense.counts[rows])
 
-    def _predicted(self, stamp_s: float) -> Pose:
-        """Constant velocity in the body frame since the last good pose."""
-        elapsed_s = stamp_s - (self._stamp_s or 0.0)
-        turn = Rotation.from_rotvec(self._angular_rad_s * elapsed_s)
-        return self._pose.compose(Pose(self._linear_m_s * elapsed_s, turn.as_quat()))
+    def _refused(self, found: Alignment, thinned: Thinned, prediction: Prediction) -> str:
+        if found.matched < self._settings.min_matched * len(thinned.points):
+            return "unknown place"
+        if found.fitting < self._settings.min_fitting * found.matched:
+            return "does not fit"
+        moved = np.linalg.norm(found.pose.position - self._belief.pose.position)
+        corrected = np.linalg.norm(found.pose.position - prediction.pose.position)
+        elapsed = max(prediction.stamp_s - self._belief.stamp_s, 0.1)
+        if moved > self._settings.max_speed_m_s * elapsed or corrected > self._settings.max_correction_m:
+            return "jump"
+        return ""
 
-    def _possible(self, pose: Pose, start: Pose, stamp_s: float) -> bool:
-        elapsed_s = max(stamp_s - (self._stamp_s or 0.0), 0.1)
-        moved_m = np.linalg.norm(pose.position - self._pose.position)
-        corrected_m = np.linalg.norm(pose.position - start.position)
-        limits = self._settings
-        return bool(moved_m <= limits.max_speed_m_s * elapsed_s and corrected_m <= limits.max_correction_m)
+    def _wants(self, pose: Pose) -> bool:
+        if self._scans < self._settings.first_scans:
+            return True
+        step = between(self._key_pose, pose)
+        return bool(np.linalg.norm(step[:3]) > self._settings.key_translation_m or np.linalg.norm(step[3:]) > self._settings.key_rotation_rad)
 
-    def _advance(self, pose: Pose, stamp_s: float) -> None:
-        elapsed_s = stamp_s - (self._stamp_s or 0.0)
-        if elapsed_s > 0:
-            step = self._pose.inverse().compose(pose)
-            self._linear_m_s = step.position / elapsed_s
-            self._angular_rad_s = Rotation.from_quat(step.quaternion).as_rotvec() / elapsed_s
-        self._pose, self._stamp_s = pose, stamp_s
+    def _insert(self, thinned: Thinned, pose: Pose, twist: FloatArray) -> None:
+        shift = thinned.offsets_s[:, None] * (twist[:3] + np.cross(twist[3:], thinned.points))
+        self._map.insert((thinned.points + shift) @ pose.rotation.T + pose.position, pose.position)
+        self._map.forget(pose.position, self._settings.map_radius_m)
+        self._key_pose = pose
+        self._scans += 1
 
-    def _undistorted(self, points: Points, offsets_s: Points | None) -> Points:
-        """Every point as seen from where the sensor was at the scan's stamp, at constant velocity."""
-        still = not self._linear_m_s.any() and not self._angular_rad_s.any()
-        if offsets_s is None or still or not len(points):
-            return points
-        turns = Rotation.from_rotvec(offsets_s[:, None] * self._angular_rad_s)
-        moved = turns.apply(points) + offsets_s[:, None] * self._linear_m_s
-        return np.asarray(moved, dtype=np.float32)
+    def _lost(self, reason: str, still: Points, prediction: Prediction, ratio: float) -> OdometryResult:
+        return OdometryResult(self.pose, False, ratio, np.inf, still, Status.LOST, reason, np.eye(6), np.zeros(6), np.zeros((0, 6)))
 
-
-def _angle(pose: Pose) -> float:
-    return float(2 * np.arccos(np.clip(abs(pose.quaternion[3]), 0.0, 1.0)))
+    def _result(self, status: Status, reason: str, still: Points, found: Alignment | None, ratio: float, error: float) -> OdometryResult:
+        free = np.zeros((0, 6)) if found is None else found.conditioning.axes()
+        cov = self._belief.covariance[:6, :6]
+        return OdometryResult(self.pose, True, ratio, error, still, status, reason, cov, self._belief.twist, free, found)
