@@ -28,8 +28,10 @@ class AlignmentSettings:
     """Standard deviation of the sensor's ranges."""
     floor_m: float = 0.005
     """What no residual is trusted below: edges, curvature, the motion's bends within a sweep."""
-    gates_m: tuple[float, ...] = (0.5, 0.25, 0.12)
-    """Largest residual in the first, second, ... pass; the last one stays."""
+    loose_m: tuple[float, ...] = (0.15, 0.1, 0.06, 0.03, 0.0)
+    """What is added to every residual's standard deviation in the first, second, ... pass; the last one stays."""
+    gate_m: float = 0.15
+    """Largest residual, to which three times the above is added."""
     softness: float = 4.0
     """Residuals of so many standard deviations count a quarter, larger ones soon nothing (Geman-McClure)."""
     confidence: float = 0.05
@@ -96,10 +98,10 @@ def align(
     information. The search begins at `start`, or at the prediction.
     """
     pose, twist = start or predicted, np.zeros(6)
-    last = len(settings.gates_m) - 1
+    last = len(settings.loose_m) - 1
     for number in range(settings.passes):
-        gate_m = settings.gates_m[min(number, last)]
-        sums = _accumulated(plane_map, thinned, pose, twist, gate_m, settings, wobble)
+        loose_m = settings.loose_m[min(number, last)]
+        sums = _accumulated(plane_map, thinned, pose, twist, loose_m, settings, wobble)
         state = conditioning(sums.blocks[0], sums.noise, settings.ratio_min)
         information, gradient = sums.normal(state.told, settings.confidence)
         offset = np.concatenate([between(predicted, pose), twist])
@@ -121,7 +123,7 @@ def _accumulated(
     thinned: Thinned,
     pose: Pose,
     twist: FloatArray,
-    gate_m: float,
+    loose_m: float,
     settings: AlignmentSettings,
     wobble: tuple[float, float],
 ) -> _Sums:
@@ -140,8 +142,8 @@ def _accumulated(
         plane_map.other,
         plane_map.planes,
         model,
-        gate_m,
-        0.0 if gate_m <= settings.gates_m[-1] else (gate_m / 3.0) ** 2,
+        settings.gate_m + 3.0 * loose_m,
+        loose_m**2,
         settings.softness,
         sums.blocks,
         sums.right,
