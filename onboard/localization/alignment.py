@@ -76,11 +76,10 @@ class _Sums:
     def empty(cls) -> _Sums:
         return cls(np.zeros((3, 6, 6)), np.zeros((2, 6)), np.zeros((6, 6)), np.zeros(3))
 
-    def normal(self, told: FloatArray, confidence: float) -> tuple[FloatArray, FloatArray]:
-        """(12, 12) information and (12,) gradient of motion and twist, of the directions that are told."""
-        low, cross, high = (confidence * (told @ block @ told.T) for block in self.blocks)
-        right = confidence * (self.right @ told.T)
-        return np.block([[low, cross], [cross, high]]), right.ravel()
+    def normal(self, confidence: float) -> tuple[FloatArray, FloatArray]:
+        """(12, 12) information and (12,) gradient of motion and twist."""
+        low, cross, high = confidence * self.blocks
+        return np.block([[low, cross], [cross, high]]), confidence * self.right.ravel()
 
 
 def align(
@@ -103,16 +102,20 @@ def align(
         loose_m = settings.loose_m[min(number, last)]
         sums = _accumulated(plane_map, thinned, pose, twist, loose_m, settings, wobble)
         state = conditioning(sums.blocks[0], sums.noise, settings.ratio_min)
-        information, gradient = sums.normal(state.told, settings.confidence)
+        information, gradient = sums.normal(settings.confidence)
         offset = np.concatenate([between(predicted, pose), twist])
-        step = np.linalg.solve(information + prior, -gradient - prior @ offset)
-        pose, twist = retract(pose, step[:6]), twist + step[6:]
+        allowed = np.kron(np.eye(2), state.kept)
+        held = allowed.T @ (information + prior) @ allowed
+        wanted = allowed @ np.linalg.solve(held, allowed.T @ (information @ offset - gradient))
+        step = wanted - offset
+        pose, twist = retract(predicted, wanted[:6]), wanted[6:]
         small = np.linalg.norm(step[:3]) < settings.still_m and np.linalg.norm(step[3:6]) < settings.still_rad
         if number >= last and small:
             break
     matched, fitting, cost = sums.counts
     mean_square = float(cost / max(matched, 1.0))
-    covariance = np.linalg.inv(information + prior)
+    free = np.kron(np.eye(2), state.free)
+    covariance = allowed @ np.linalg.inv(held) @ allowed.T + free @ np.linalg.inv(prior) @ free.T
     return Alignment(
         pose, twist, covariance, state, int(matched), int(fitting), mean_square, number + 1
     )

@@ -15,14 +15,14 @@ class Conditioning(NamedTuple):
 
     `ratios` (6,) ascending: information over what uncertain normals feign of it, 1 = nothing real.
     `directions` (6, 6) columns: motions (shift in metres, rotation vector) that belong to the ratios.
-    `told` (6, 6) maps gradients and information to their real part, `free` (6, 6) motions to their part along
-    the directions that are not told.
+    `kept` (6, 6 - weak) columns: the directions that are told; `free` (6, 6) maps motions to their part along the
+    others.
     """
 
     ratios: FloatArray
     directions: FloatArray
     weak: int
-    told: FloatArray
+    kept: FloatArray
     free: FloatArray
 
     def axes(self) -> FloatArray:
@@ -44,6 +44,5 @@ def conditioning(information: FloatArray, noise: FloatArray, ratio_min: float) -
     ratios, directions = eigh(information, steady)
     weak = int((ratios < ratio_min).sum())
     kept, lost = directions[:, weak:], directions[:, :weak]
-    told = steady @ kept @ kept.T
     free = lost @ lost.T @ steady
-    return Conditioning(ratios, directions, weak, told, free)
+    return Conditioning(ratios, directions, weak, kept, free)
