@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -14,7 +15,9 @@ from benchmarks.odometry.sequences import Sequence
 from ground_station.trajectory_errors import TrajectoryErrors, compare_trajectories
 from onboard.core.geometry import FloatArray, Pose
 from onboard.localization.lie import between
-from onboard.localization.odometry import Odometry, OdometryResult, Status
+from onboard.localization.odometry import Estimate, Odometry
+from onboard.localization.prediction import RelativeMotion
+from onboard.localization.reckoning import Increment, Reckoning
 
 WARM_SCANS = 5
 """Of so many scans the times do not count: compilation, first pages of memory."""
@@ -61,22 +64,36 @@ def run_ours(
     sequence: Sequence, program: str, base: BaseErrors | None = None, scans: int | None = None
 ) -> Result:
     """This project's odometry, with the increments of a simulated base where `base` is given."""
-    odometry, results, times_ms = Odometry(), list[OdometryResult](), []
-    told = [] if base is None else increments(sequence.track, base, np.random.default_rng(11))
-    waiting = iter(told)
+    odometry, results, times_ms = Odometry(), list[Estimate](), []
+    told = None if base is None else Teller(increments(sequence.track, base, np.random.default_rng(11)))
     for index, sweep in enumerate(sequence.sweeps()):
         if index == scans:
             break
         start_s = time.process_time()
-        for increment in waiting:
-            odometry.carry(increment)
-            if increment.end_s > sweep.stamp_s + 0.05:
-                break
-        results.append(odometry.step(sweep.points, sweep.stamp_s, sweep.offsets_s))
+        prediction = None if told is None else told.until(sweep.stamp_s)
+        results.append(odometry.step(sweep.stamp_s, sweep.points, sweep.offsets_s, prediction))
         times_ms.append((time.process_time() - start_s) * 1e3)
     true = sequence.truth()[: len(results)]
     result = _result(sequence, program, [found.pose for found in results], true, times_ms)
     return _judged(result, results, true)
+
+
+class Teller:
+    """Hands out a base's increments as relative motions from stamp to stamp."""
+
+    def __init__(self, increments: Iterable[Increment]) -> None:
+        self._waiting = iter(increments)
+        self._reckoning = Reckoning()
+        self._last_s: float | None = None
+
+    def until(self, stamp_s: float) -> RelativeMotion | None:
+        """Motion since the stamp of the call before; None the first time."""
+        for increment in self._waiting:
+            self._reckoning.add(increment)
+            if increment.end_s >= stamp_s:
+                break
+        start_s, self._last_s = self._last_s, stamp_s
+        return None if start_s is None else self._reckoning.motion(start_s, stamp_s)
 
 
 def base_alone(sequence: Sequence, errors: BaseErrors) -> TrajectoryErrors:
@@ -91,7 +108,7 @@ def base_alone(sequence: Sequence, errors: BaseErrors) -> TrajectoryErrors:
     return compare_trajectories(poses[::5], true[::5])
 
 
-def nees(found: list[OdometryResult], true: list[Pose]) -> FloatArray:
+def nees(found: list[Estimate], true: list[Pose]) -> FloatArray:
     """(N,) squared Mahalanobis lengths of the pose errors (Bar-Shalom et al. 2001, section 5.4)."""
     values = []
     for result, pose in zip(found, true, strict=True):
@@ -114,10 +131,10 @@ def _result(
     )
 
 
-def _judged(result: Result, found: list[OdometryResult], true: list[Pose]) -> Result:
+def _judged(result: Result, found: list[Estimate], true: list[Pose]) -> Result:
     lengths = nees(found[WARM_SCANS:], true[WARM_SCANS:])
     off = [float(np.linalg.norm(a.pose.position - b.position)) for a, b in zip(found, true, strict=True)]
-    warned = next((i for i, item in enumerate(found) if item.status is not Status.TRACKING), None)
+    warned = next((i for i, item in enumerate(found) if len(item.degenerate)), None)
     far = next((i for i, value in enumerate(off) if value > 0.3), None)
     return Result(
         result.sequence,
@@ -126,8 +143,8 @@ def _judged(result: Result, found: list[OdometryResult], true: list[Pose]) -> Re
         result.errors,
         result.ms_p50,
         result.ms_p99,
-        sum(item.status is Status.LOST for item in found),
-        sum(item.status is Status.DEGENERATE for item in found),
+        sum(not item.ok for item in found),
+        sum(len(item.degenerate) > 0 for item in found),
         float(np.median(lengths)),
         float((lengths < CHI2_95).mean()),
         {

@@ -39,7 +39,7 @@ class Ours:
 
     def step(self, sweep: Sweep) -> Pose:
         """See Tracker."""
-        return self.odometry.step(sweep.points, sweep.stamp_s, sweep.offsets_s).pose
+        return self.odometry.step(sweep.stamp_s, sweep.points, sweep.offsets_s).pose
 
 
 class Gicp:

@@ -18,7 +18,7 @@ from onboard.core.geometry import FloatArray, Pose
 from onboard.core.lidar import LidarModel, lidar_model
 from simulation.scene import Scene
 
-PERIOD_S = 0.1
+SWEEPING_HZ, PERIOD_S = 10.0, 0.1
 NOISE_M = 0.02
 DROPOUT = 0.02
 UNIT_M = 0.002
@@ -38,10 +38,22 @@ class Plan:
     sensor: str
     length_m: float = 150.0
     seed: int = 1
+    rate_hz: float = SWEEPING_HZ
+    """Scans of any other rate than that of a turning sensor are taken at once, from one place."""
+
+    @property
+    def route(self) -> str:
+        """Plans with the same route have the same motion."""
+        return f"{self.world}-{self.sensor}"
 
     @property
     def name(self) -> str:
-        return f"{self.world}-{self.sensor}"
+        return self.route if self.rate_hz == SWEEPING_HZ else f"{self.route}-{self.rate_hz:g}hz"
+
+    @property
+    def sweep_s(self) -> float:
+        """How long a scan takes."""
+        return PERIOD_S if self.rate_hz == SWEEPING_HZ else 0.0
 
     @property
     def gait(self) -> Gait:
@@ -80,11 +92,11 @@ class Sequence:
 
     def stamp_s(self, index: int) -> float:
         """Middle of a sweep."""
-        return (index + 0.5) * PERIOD_S
+        return _stamp_s(self.plan, index)
 
     def sweeps(self) -> Iterator[Sweep]:
         """All sweeps as point clouds."""
-        offsets = np.broadcast_to(column_offsets(self.model), self.ranges.shape[1:])
+        offsets = np.broadcast_to(column_offsets(self.model, self.plan.sweep_s), self.ranges.shape[1:])
         for index, ranges in enumerate(self.ranges):
             seen = (ranges > 0) & (ranges < _NO_RETURN)
             metres = ranges[seen].astype(np.float32) * np.float32(UNIT_M)
@@ -97,10 +109,14 @@ class Sequence:
         return [start.compose(pose) for pose in poses]
 
 
-def column_offsets(model: LidarModel) -> NDArray[np.float32]:
+def _stamp_s(plan: Plan, index: int) -> float:
+    return (index + 0.5) / plan.rate_hz
+
+
+def column_offsets(model: LidarModel, sweep_s: float) -> NDArray[np.float32]:
     """(W,) seconds from the middle of a turn at which every column is taken."""
     share = (np.arange(model.columns) + 0.5) / model.columns - 0.5
-    return (share * PERIOD_S).astype(np.float32)
+    return (share * sweep_s).astype(np.float32)
 
 
 def sequence(plan: Plan, folder: Path) -> Sequence:
@@ -115,22 +131,23 @@ def sequence(plan: Plan, folder: Path) -> Sequence:
 
 
 def _recipe(plan: Plan) -> str:
-    recipe = {**asdict(plan), "gait": asdict(plan.gait), "noise_m": NOISE_M, "dropout": DROPOUT, "version": 3}
+    plain = {key: value for key, value in asdict(plan).items() if (key, value) != ("rate_hz", SWEEPING_HZ)}
+    recipe = {**plain, "gait": asdict(plan.gait), "noise_m": NOISE_M, "dropout": DROPOUT, "version": 3}
     return json.dumps(recipe, sort_keys=True)
 
 
 def _record(plan: Plan, directory: Path) -> None:
-    rng = np.random.default_rng([plan.seed, zlib.crc32(plan.name.encode())])
+    rng = np.random.default_rng([plan.seed, zlib.crc32(plan.route.encode())])
     place = worlds.PLACES[plan.world]()
     track = follow(_way(place, plan, rng), plan.gait, rng)
     fields = {name: getattr(track, name) for name in ("stamps_s", "positions", "quaternions")}
     np.savez(directory / "track.npz", **fields)
     model = lidar_model(plan.sensor)
-    count = int((track.stamps_s[-1] - 2.0 / RATE_HZ) / PERIOD_S)
+    count = int((track.stamps_s[-1] - 2.0 / RATE_HZ) * plan.rate_hz)
     shape = (count, model.rows, model.columns)
     ranges = np.lib.format.open_memmap(directory / "ranges.npy", mode="w+", dtype=np.uint16, shape=shape)
     for index in range(count):
-        ranges[index] = _cast(place.scene, model, track, (index + 0.5) * PERIOD_S, rng)
+        ranges[index] = _cast(place.scene, model, track, _stamp_s(plan, index), rng, plan.sweep_s)
     ranges.flush()
     (directory / "plan.json").write_text(_recipe(plan), encoding="utf-8")
 
@@ -151,10 +168,15 @@ def _way(place: worlds.Place, plan: Plan, rng: np.random.Generator) -> FloatArra
 
 
 def _cast(
-    scene: Scene, model: LidarModel, track: Track, stamp_s: float, rng: np.random.Generator
+    scene: Scene,
+    model: LidarModel,
+    track: Track,
+    stamp_s: float,
+    rng: np.random.Generator,
+    sweep_s: float = PERIOD_S,
 ) -> NDArray[np.uint16]:
     """One turn (H, W): every column from where the sensor is then, with noise and lost pulses."""
-    positions, attitudes = track.at(stamp_s + column_offsets(model).astype(np.float64))
+    positions, attitudes = track.at(stamp_s + column_offsets(model, sweep_s).astype(np.float64))
     turns = attitudes.as_matrix().astype(np.float32)
     rays = np.empty((model.rows, model.columns, 6), dtype=np.float32)
     rays[..., :3] = positions

@@ -2,177 +2,276 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
-from enum import Enum
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.geometry import FloatArray, Pose
-from onboard.localization.alignment import Alignment, AlignmentSettings, align
-from onboard.localization.lie import between, retract, transport
+from onboard.localization.alignment import Aligner, Alignment
+from onboard.localization.drift import EVERYTHING, Drift
+from onboard.localization.lie import between
+from onboard.localization.odometry_state import OdometryState
 from onboard.localization.plane_map import GRID_TURN, PlaneMap
-from onboard.localization.prediction import Belief, MotionSettings, Prediction, predict, sweep_knots
-from onboard.localization.reckoning import Increment, Reckoning
-from onboard.localization.thinning import KNOTS, Thinned, Thinner, undistort
+from onboard.localization.prediction import Belief, Prior, RelativeMotion, guess, informed, steady
+from onboard.localization.scale import WayScale
+from onboard.localization.settings import OdometrySettings
+from onboard.localization.thinning import Sweep, Thinned, Thinner
 
 Points = NDArray[np.float32]
+NOWHERE = np.zeros((0, 6))
 _GRID = Pose.from_matrix(np.block([[GRID_TURN, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
-
-
-class Status(Enum):
-    """How well the last scan told where the sensor is."""
-
-    TRACKING = "tracking"
-    DEGENERATE = "degenerate"
-    """The scan fits, but along some directions the pose is predicted only."""
-    LOST = "lost"
-    """The scan does not fit: the pose is the prediction."""
-
-
-@dataclass(frozen=True, slots=True)
-class OdometrySettings:
-    """Tuning of the odometry; the defaults suit 10 Hz scans of a walking-pace robot in and out of doors."""
-
-    cell_m: float = 0.2
-    """Points are thinned to one per cube of at least this size ..."""
-    points: int = 4000
-    """... and of such a size that about so many are left."""
-    min_range_m: float = 0.4
-    max_range_m: float = 60.0
-    map_radius_m: float = 80.0
-    max_cells: int = 200_000
-    key_translation_m: float = 0.3
-    key_rotation_rad: float = 0.2
-    first_scans: int = 5
-    min_points: int = 60
-    min_matched: float = 0.2
-    """Share of the points that must meet a known plane ..."""
-    min_fitting: float = 0.6
-    """... and share of those that must lie on it."""
-    max_speed_m_s: float = 15.0
-    max_correction_m: float = 3.0
-    """Farther than this from where the search started a match is a look-alike."""
-    alignment: AlignmentSettings = AlignmentSettings()
-    motion: MotionSettings = MotionSettings()
+"""The odometry frame in that of the plane map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OdometryResult:
-    """Outcome of one step."""
+class Estimate:
+    """Outcome of one step.
 
+    `pose` is the sensor in the odometry frame (the first scan's sensor frame) at the scan's stamp, `twist` (6,)
+    its velocity and turn rate in its own frame. `covariance` (6, 6) of the small motion (metres, radians, in the
+    sensor's frame) from the true pose relative to the first scan. `degenerate` (k, 6): directions of such
+    motions in which the scan tells nothing and the pose is that of the prediction. `ok` false: the scan did not
+    fit, for the `reason` given; the pose is the prediction, or the last one where nothing was predicted. `jump`:
+    the pose is not where prediction or motion led to. `points` are the scan's finite points, motion within the
+    sweep taken out; `inlier_ratio` is the share of its thinned points that lie on a plane of the map.
+    """
+
+    stamp_s: float
     pose: Pose
-    converged: bool
-    inlier_ratio: float
-    error: float
-    points: Points
-    status: Status
-    reason: str
     covariance: FloatArray
     twist: FloatArray
-    free: FloatArray
-    alignment: Alignment | None = None
+    degenerate: FloatArray
+    ok: bool
+    jump: bool
+    reason: str
+    inlier_ratio: float
+    points: Points
 
 
 class Odometry:
-    """Tracks the sensor's pose scan by scan; the odometry frame is the first scan's sensor frame."""
+    """Tracks the sensor's pose scan by scan."""
 
     def __init__(self, settings: OdometrySettings | None = None) -> None:
-        self._settings = settings or OdometrySettings()
-        self._map = PlaneMap(self._settings.max_cells)
+        self.settings = settings or OdometrySettings()
+        self.scale = WayScale()
         self._thin = Thinner()
-        self._cell_m = self._settings.cell_m
+        self._drift = Drift()
         self._belief: Belief | None = None
-        self._drift = np.zeros((6, 6))
-        self._key_pose = _GRID
-        self._scans = 0
-        self.reckoning = Reckoning()
+        self._lost_scans = 0
+        self._last = np.zeros((0, 3), dtype=np.float32)
+        self._renew()
+
+    @classmethod
+    def restored(cls, data: bytes, settings: OdometrySettings | None = None) -> Odometry:
+        """Go on in the frame of an odometry that was saved: where it was, its last scan the map.
+
+        If the next scan does not fit that one, the map begins anew there, with a covariance for the time between.
+        Raises InputError for damaged data.
+        """
+        state = OdometryState.from_bytes(data)
+        odometry = cls(settings)
+        limits = odometry.settings
+        odometry._belief = Belief.first(state.stamp_s, _GRID.compose(state.pose), limits.motion)
+        odometry._drift = Drift(state.covariance)
+        odometry.scale = WayScale(*state.scale)
+        points = state.points.astype(np.float64)
+        thinned = Thinned(points, np.zeros(len(points)), np.ones(len(points)))
+        odometry._insert(thinned, odometry._belief.pose, np.zeros(6))
+        odometry._lost_scans = limits.give_up
+        return odometry
+
+    def saved(self) -> bytes:
+        """A state for `restored`; empty before the first scan."""
+        if self._belief is None:
+            return b""
+        covariance = self._drift.total(self._belief.covariance[:6, :6], self.scale.variance)
+        scale = (self.scale.share, self.scale.variance)
+        return OdometryState(self._belief.stamp_s, self.pose, covariance, scale, self._last).to_bytes()
 
     @property
     def pose(self) -> Pose:
-        """Last good pose."""
+        """The last estimate's."""
         return Pose.identity() if self._belief is None else _GRID.inverse().compose(self._belief.pose)
 
-    def carry(self, increment: Increment) -> None:
-        self.reckoning.add(increment)
+    def step(
+        self,
+        stamp_s: float,
+        points: Points,
+        offsets_s: Points | None = None,
+        prediction: RelativeMotion | None = None,
+    ) -> Estimate:
+        """Register a scan.
 
-    def step(self, points: Points, stamp_s: float, offsets_s: Points | None = None) -> OdometryResult:
-        finite = np.isfinite(points).all(axis=1)
-        raw = np.ascontiguousarray(points[finite], dtype=np.float32)
-        offsets = np.zeros(len(raw), dtype=np.float32) if offsets_s is None else offsets_s[finite]
-        belief = self._belief or Belief.first(stamp_s, _GRID, self._settings.motion)
-        prediction = predict(belief, stamp_s, self.reckoning, self._settings.motion)
-        still = self._undistorted(raw, offsets, prediction, np.zeros(6))
-        thinned = self._thinned(still, offsets)
-        if len(thinned.points) < self._settings.min_points:
-            return self._lost("too few points", still, prediction, 0.0)
+        `points` (N, 3) in metres in the sensor frame, rows with NaN are left out; `offsets_s` (N,) seconds of
+        every point relative to `stamp_s`, None for a scan taken at once. `prediction`: what other sensors tell
+        of the motion since the step before; needed where the sensor may move in an unforeseen way by more than
+        about 0.5 m or 20 degrees between scans.
+        """
+        sweep = Sweep.of(points, offsets_s)
         if self._belief is None:
-            self._belief = belief
-            self._insert(thinned, belief.pose, np.zeros(6))
-            return self._result(Status.TRACKING, "", still, None, 1.0, 0.0)
-        prior = np.linalg.inv(prediction.covariance)
-        found = align(self._map, self._few(thinned), prediction.pose, prior, self._settings.alignment, (self._settings.motion.acceleration**2, self._settings.motion.turn_acceleration**2))
-        reason = self._refused(found, self._few(thinned), prediction)
-        ratio = found.fitting / len(self._few(thinned).points)
+            return self._begun(stamp_s, sweep)
+        if stamp_s <= self._belief.stamp_s:
+            return self._estimate(sweep.points, reason="older than the scan before")
+        prior = self._predicted(self._belief, stamp_s, prediction)
+        still = sweep.still(prior.twist)
+        thinned = self._thinned(still, sweep)
+        if len(thinned.points) < self.settings.min_points:
+            return self._missed(prior, still, None, "too few points")
+        found, reason = self._registered(self._belief, prior, thinned.few(self.settings.points))
         if reason:
-            return self._lost(reason, still, prediction, ratio)
-        self._belief = Belief(stamp_s, found.pose, prediction.twist + found.twist, found.covariance)
-        if self._wants(found.pose):
-            self._insert(thinned, found.pose, found.twist)
-        if offsets_s is not None:
-            still = self._undistorted(raw, offsets, prediction, found.twist)
-        weak = found.conditioning.weak
-        status = Status.DEGENERATE if weak else Status.TRACKING
-        return self._result(status, "", still, found, ratio, found.mean_square)
+            return self._missed(prior, still, thinned, reason, found.inlier_ratio)
+        return self._accepted(self._belief, prior, found, prediction, thinned, sweep)
 
-    def _undistorted(self, raw: Points, offsets: Points, prediction: Prediction, twist: FloatArray) -> Points:
-        low, high = (float(offsets.min()), float(offsets.max())) if len(offsets) else (0.0, 0.0)
-        if high - low < 1e-6:
-            return raw
-        spacing_s = (high - low) / (KNOTS - 1)
-        knots = sweep_knots(prediction, twist, self.reckoning, low, spacing_s)
-        return undistort(raw, offsets, low, spacing_s, knots)
+    def _begun(self, stamp_s: float, sweep: Sweep) -> Estimate:
+        thinned = self._thinned(sweep.points, sweep)
+        if len(thinned.points) < self.settings.min_points:
+            return self._estimate(sweep.points, reason="too few points", stamp_s=stamp_s)
+        self._belief = Belief.first(stamp_s, _GRID, self.settings.motion)
+        self._insert(thinned, _GRID, np.zeros(6))
+        return self._estimate(sweep.points, inlier_ratio=1.0)
 
-    def _thinned(self, still: Points, offsets: Points) -> Thinned:
-        limits = (self._settings.min_range_m, self._settings.max_range_m)
-        return self._thin(still, offsets, self._settings.cell_m, limits)
+    def _predicted(self, belief: Belief, stamp_s: float, told: RelativeMotion | None) -> Prior:
+        if told is None:
+            return steady(belief, stamp_s, self.settings.motion)
+        corrected = replace(told, motion=self.scale.corrected(told.motion))
+        return informed(belief, stamp_s, corrected, self.scale.variance, self.settings.motion)
 
-    def _few(self, dense: Thinned) -> Thinned:
-        count = len(dense.points)
-        if count <= self._settings.points:
-            return dense
-        rows = np.arange(self._settings.points) * count // self._settings.points
-        return Thinned(dense.points[rows], dense.offsets_s[rows], dense.counts[rows])
+    def _thinned(self, still: Points, sweep: Sweep) -> Thinned:
+        limits = (self.settings.min_range_m, self.settings.max_range_m)
+        return self._thin(still, sweep.offsets_s, self.settings.cell_m, limits)
 
-    def _refused(self, found: Alignment, thinned: Thinned, prediction: Prediction) -> str:
-        if found.matched < self._settings.min_matched * len(thinned.points):
+    def _registered(self, belief: Belief, prior: Prior, thinned: Thinned) -> tuple[Alignment, str]:
+        """From the prediction; where that fails or leads far away, from the last pose with nothing assumed."""
+        found = self._aligner.align(thinned, prior)
+        reason = self._refusal(belief, prior, found)
+        if not reason and not self._jumped(prior, found):
+            return found, ""
+        start = replace(guess(belief, prior.stamp_s, self.settings.motion), twist=prior.twist)
+        second = self._aligner.align(thinned, start, wide=True)
+        return second, self._refusal(belief, start, second)
+
+    def _refusal(self, belief: Belief, prior: Prior, found: Alignment) -> str:
+        """Why an alignment cannot be right; empty if it can."""
+        limits = self.settings
+        if found.matched < limits.min_matched * found.points:
             return "unknown place"
-        if found.fitting < self._settings.min_fitting * found.matched:
+        if found.fitting < limits.min_fitting * found.matched:
             return "does not fit"
-        moved = np.linalg.norm(found.pose.position - self._belief.pose.position)
-        corrected = np.linalg.norm(found.pose.position - prediction.pose.position)
-        elapsed = max(prediction.stamp_s - self._belief.stamp_s, 0.1)
-        if moved > self._settings.max_speed_m_s * elapsed or corrected > self._settings.max_correction_m:
-            return "jump"
+        moved_m = np.linalg.norm(found.pose.position - belief.pose.position)
+        corrected_m = np.linalg.norm(found.pose.position - prior.pose.position)
+        elapsed_s = max(prior.stamp_s - belief.stamp_s, 0.1)
+        if moved_m > limits.max_speed_m_s * elapsed_s or corrected_m > limits.max_correction_m:
+            return "impossible jump"
         return ""
 
+    def _jumped(self, prior: Prior, found: Alignment) -> bool:
+        off_m = np.linalg.norm(found.pose.position - prior.pose.position)
+        sigma_m = np.sqrt(np.trace(prior.covariance[:3, :3]))
+        return bool(off_m > self.settings.jump_m + self.settings.jump_sigmas * sigma_m)
+
+    def _accepted(
+        self,
+        belief: Belief,
+        prior: Prior,
+        found: Alignment,
+        told: RelativeMotion | None,
+        thinned: Thinned,
+        sweep: Sweep,
+    ) -> Estimate:
+        motion = belief.pose.inverse().compose(found.pose)
+        self._belief = Belief(prior.stamp_s, found.pose, prior.twist + found.twist, found.covariance)
+        renewed = float(np.linalg.norm(motion.position)) / self.settings.renewal_m
+        known = found.covariance[:6, :6] - found.blind
+        self._drift.follow(motion, renewed, known, found.blind, found.conditioning.free)
+        weak = found.conditioning.weak
+        if told is not None and not weak:
+            self.scale.watch(told.motion, motion)
+        else:
+            self.scale.restart()
+        self._lost_scans = 0
+        self._last = thinned.few(self.settings.inserted).points.astype(np.float32)
+        if self._wants(found.pose):
+            self._insert(thinned, found.pose, found.twist)
+        return self._estimate(
+            sweep.still(self._belief.twist),
+            degenerate=found.conditioning.axes(),
+            jump=self._jumped(prior, found),
+            inlier_ratio=found.inlier_ratio,
+        )
+
+    def _missed(
+        self, prior: Prior, still: Points, thinned: Thinned | None, reason: str, inlier_ratio: float = 0.0
+    ) -> Estimate:
+        """The prediction stands in for the scan; without one the last pose, at rest."""
+        before, covariance = self._belief, prior.covariance
+        pose, twist, motion = prior.pose, prior.twist, prior.motion
+        if not prior.told and before is not None:
+            covariance = covariance.copy()
+            covariance[:6, :6] += np.outer(*2 * (between(Pose.identity(), motion),))
+            pose, twist, motion = before.pose, np.zeros(6), Pose.identity()
+        self._belief = Belief(prior.stamp_s, pose, twist, covariance)
+        self._drift.follow(motion, 0.0, np.zeros((6, 6)), covariance[:6, :6], EVERYTHING)
+        self.scale.restart()
+        self._lost_scans += 1
+        if thinned is None or self._lost_scans <= self.settings.give_up:
+            return self._estimate(still, degenerate=EVERYTHING, reason=reason, inlier_ratio=inlier_ratio)
+        return self._anew(self._belief, still, thinned)
+
+    def _anew(self, belief: Belief, still: Points, thinned: Thinned) -> Estimate:
+        """A new map where the robot is thought to be."""
+        self._drift.settle(self._drift.total(belief.covariance[:6, :6], self.scale.variance))
+        self._belief = replace(
+            Belief.first(belief.stamp_s, belief.pose, self.settings.motion), twist=belief.twist
+        )
+        self._lost_scans = 0
+        self._renew()
+        self._insert(thinned, belief.pose, np.zeros(6))
+        return self._estimate(still, jump=True, reason="map begun anew")
+
+    def _renew(self) -> None:
+        self._map = PlaneMap(self.settings.max_cells)
+        self._aligner = Aligner(self._map, self.settings.alignment, self.settings.motion)
+        self._key_pose, self._key_scans = _GRID, 0
+
     def _wants(self, pose: Pose) -> bool:
-        if self._scans < self._settings.first_scans:
-            return True
+        """Whether a scan at this pose goes into the map."""
         step = between(self._key_pose, pose)
-        return bool(np.linalg.norm(step[:3]) > self._settings.key_translation_m or np.linalg.norm(step[3:]) > self._settings.key_rotation_rad)
+        shift, turn = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        limits = self.settings
+        return bool(
+            self._key_scans < limits.first_scans
+            or shift > limits.key_translation_m
+            or turn > limits.key_rotation_rad
+        )
 
     def _insert(self, thinned: Thinned, pose: Pose, twist: FloatArray) -> None:
-        shift = thinned.offsets_s[:, None] * (twist[:3] + np.cross(twist[3:], thinned.points))
-        self._map.insert((thinned.points + shift) @ pose.rotation.T + pose.position, pose.position)
-        self._map.forget(pose.position, self._settings.map_radius_m)
+        self._map.insert(thinned.few(self.settings.inserted).moved(pose, twist), pose.position)
+        self._map.forget(pose.position, self.settings.map_radius_m)
         self._key_pose = pose
-        self._scans += 1
+        self._key_scans += 1
 
-    def _lost(self, reason: str, still: Points, prediction: Prediction, ratio: float) -> OdometryResult:
-        return OdometryResult(self.pose, False, ratio, np.inf, still, Status.LOST, reason, np.eye(6), np.zeros(6), np.zeros((0, 6)))
-
-    def _result(self, status: Status, reason: str, still: Points, found: Alignment | None, ratio: float, error: float) -> OdometryResult:
-        free = np.zeros((0, 6)) if found is None else found.conditioning.axes()
-        cov = self._belief.covariance[:6, :6]
-        return OdometryResult(self.pose, True, ratio, error, still, status, reason, cov, self._belief.twist, free, found)
+    def _estimate(
+        self,
+        points: Points,
+        degenerate: FloatArray = NOWHERE,
+        jump: bool = False,
+        reason: str = "",
+        inlier_ratio: float = 0.0,
+        stamp_s: float | None = None,
+    ) -> Estimate:
+        belief = self._belief or Belief.first(stamp_s or 0.0, _GRID, self.settings.motion)
+        covariance = self._drift.total(belief.covariance[:6, :6], self.scale.variance)
+        ok = not reason or jump
+        return Estimate(
+            belief.stamp_s,
+            self.pose,
+            covariance,
+            belief.twist,
+            degenerate,
+            ok,
+            jump,
+            reason,
+            inlier_ratio,
+            points,
+        )

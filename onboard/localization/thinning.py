@@ -8,11 +8,41 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.core.geometry import FloatArray
+from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.lie import retract, twist_motion
 
 Float32Array = NDArray[np.float32]
 KNOTS = 9
+SHORTEST_S = 1e-6
+"""A sweep that takes less is a snapshot."""
 _HASH = np.uint64(0x9E3779B97F4A7C15)
+
+
+class Sweep(NamedTuple):
+    """Finite points (N, 3) in the sensor's frame and the seconds (N,) of each relative to the stamp."""
+
+    points: Float32Array
+    offsets_s: Float32Array
+
+    @classmethod
+    def of(cls, points: Float32Array, offsets_s: Float32Array | None) -> Sweep:
+        """Without offsets all points were measured at the stamp."""
+        finite = np.isfinite(points).all(axis=1)
+        times = np.zeros(len(points)) if offsets_s is None else offsets_s
+        return cls(
+            np.ascontiguousarray(points[finite], dtype=np.float32), times[finite].astype(np.float32)
+        )
+
+    def still(self, twist: FloatArray) -> Float32Array:
+        """(N, 3) points as seen from the sensor at the stamp if it moves with `twist` (6,)."""
+        low, high = (float(self.offsets_s.min()), float(self.offsets_s.max())) if len(self.points) else (0, 0)
+        if high - low < SHORTEST_S:
+            return self.points
+        spacing_s = (high - low) / (KNOTS - 1)
+        times = low + spacing_s * np.arange(KNOTS)
+        poses = [retract(Pose.identity(), twist_motion(twist, float(time_s))) for time_s in times]
+        knots = np.array([pose.matrix()[:3] for pose in poses])
+        return undistort(self.points, self.offsets_s, low, spacing_s, knots)
 
 
 class Thinned(NamedTuple):
@@ -21,6 +51,18 @@ class Thinned(NamedTuple):
     points: FloatArray
     offsets_s: FloatArray
     counts: FloatArray
+
+    def few(self, count: int) -> Thinned:
+        """So many of the points at most, evenly taken."""
+        if len(self.points) <= count:
+            return self
+        rows = np.arange(count) * len(self.points) // count
+        return Thinned(self.points[rows], self.offsets_s[rows], self.counts[rows])
+
+    def moved(self, pose: Pose, twist: FloatArray) -> FloatArray:
+        """(n, 3) points seen from `pose`, in the frame of that, after the rest of the sweep's motion `twist`."""
+        shift = self.offsets_s[:, None] * (twist[:3] + np.cross(twist[3:], self.points))
+        return (self.points + shift) @ pose.rotation.T + pose.position
 
 
 class Thinner:
