@@ -79,10 +79,11 @@ class Aligner:
         """
         pose, twist = prior.pose, np.zeros(6)
         loose = self.settings.wide_m if wide else self.settings.loose_m
-        known = np.linalg.inv(prior.covariance)
+        known, rough = np.linalg.inv(prior.covariance), thinned.few(self.settings.rough_points)
         last = len(loose) - 1
         for number in range(last + self.settings.passes - len(self.settings.loose_m) + 1):
-            sums = self._summed(thinned, pose, twist, loose[min(number, last)])
+            loose_m = loose[min(number, last)]
+            sums = self._summed(rough if loose_m > self.settings.rough_m else thinned, pose, twist, loose_m)
             state = conditioning(sums.blocks[0], sums.noise, self.settings.ratio_min)
             information, gradient = sums.normal(self.settings.confidence)
             offset = np.concatenate([between(prior.pose, pose), twist])

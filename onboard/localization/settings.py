@@ -36,6 +36,10 @@ class AlignmentSettings:
     """Largest residual, to which three times the above is added."""
     softness: float = 4.0
     """Residuals of so many standard deviations count a quarter, larger ones soon nothing (Geman-McClure)."""
+    rough_m: float = 0.05
+    """Passes that add more than this to the residuals ..."""
+    rough_points: int = 1500
+    """... take so many points at most."""
     confidence: float = 0.05
     """Share of the information that is taken to be independent: neighbouring points err together."""
     ratio_min: float = 10.0
@@ -76,7 +80,7 @@ class OdometrySettings:
     """A match farther than both together from the prediction is a jump: it needs a second search to agree."""
     give_up: int = 10
     """After so many lost scans in a row the map begins anew where the robot is thought to be."""
-    renewal_m: float = 1.0
+    renewal_m: float = 8.0
     """After so much way the map in view has new, independent errors: how the covariance grows with the way."""
     alignment: AlignmentSettings = AlignmentSettings()
     motion: MotionSettings = MotionSettings()
