@@ -1,210 +1,277 @@
-"""LiDAR odometry: GICP registration of every scan against a submap of the last key scans.
-
-Generalised ICP (Segal et al., RSS 2009) from small_gicp; point-to-point methods drag behind a wide-angle
-sensor because the rings on floor and ceiling travel with it.
-"""
+"""LiDAR odometry: every scan is registered to planes of the scans before, with what other sensors tell."""
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 
 import numpy as np
-import small_gicp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.alignment import Aligner, Alignment
+from onboard.localization.drift import EVERYTHING, Drift
+from onboard.localization.lie import between
+from onboard.localization.odometry_state import OdometryState
+from onboard.localization.plane_map import GRID_TURN, PlaneMap
+from onboard.localization.prediction import Belief, Prior, RelativeMotion, guess, informed, steady
+from onboard.localization.scale import WayScale
+from onboard.localization.settings import OdometrySettings
+from onboard.localization.thinning import Sweep, Thinned, Thinner
 
 Points = NDArray[np.float32]
-
-
-@dataclass(frozen=True, slots=True)
-class OdometrySettings:
-    """Tuning of the odometry; the defaults suit 10 Hz scans of a walking-pace robot in and out of doors."""
-
-    downsampling_m: float = 0.25
-    min_range_m: float = 0.4
-    max_range_m: float = 60.0
-    neighbours: int = 12
-    key_scans: int = 20
-    key_translation_m: float = 0.5
-    key_rotation_rad: float = 0.35
-    search_m: tuple[float, ...] = (1.0, 0.5)
-    """Correspondence distances: a wide pass catches the prediction's error, a tight one drops outliers."""
-    wide_search_m: tuple[float, ...] = (3.0, 1.0, 0.5)
-    """The same for the second attempt, which starts from the last pose instead of the prediction."""
-    min_points: int = 60
-    min_inlier_ratio: float = 0.45
-    max_speed_m_s: float = 15.0
-    max_correction_m: float = 3.0
-    """Farther than this from where the search started a match is a look-alike."""
+NOWHERE = np.zeros((0, 6))
+_GRID = Pose.from_matrix(np.block([[GRID_TURN, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
+"""The odometry frame in that of the plane map."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class OdometryResult:
+class Estimate:
     """Outcome of one step.
 
-    `pose` is the sensor in the odometry frame (the first scan's sensor frame) at the scan's stamp; when
-    `converged` is false it is the last good pose. `inlier_ratio` is the share of downsampled points that
-    found a partner, `error` the mean GICP cost of those. `points` are the scan's finite points, motion within
-    the sweep taken out.
+    `pose` is the sensor in the odometry frame (the first scan's sensor frame) at the scan's stamp, `twist` (6,)
+    its velocity and turn rate in its own frame. `covariance` (6, 6) of the small motion (metres, radians, in the
+    sensor's frame) from the true pose relative to the first scan. `degenerate` (k, 6): directions of such
+    motions in which the scan tells nothing and the pose is that of the prediction. `ok` false: the scan did not
+    fit, for the `reason` given; the pose is the prediction, or the last one where nothing was predicted. `jump`:
+    the pose is not where prediction or motion led to. `points` are the scan's finite points, motion within the
+    sweep taken out; `inlier_ratio` is the share of its thinned points that lie on a plane of the map.
     """
 
+    stamp_s: float
     pose: Pose
-    converged: bool
+    covariance: FloatArray
+    twist: FloatArray
+    degenerate: FloatArray
+    ok: bool
+    jump: bool
+    reason: str
     inlier_ratio: float
-    error: float
     points: Points
 
 
-@dataclass(slots=True, eq=False)
-class _Submap:
-    """Registration target: the last key scans in the odometry frame, voxelised together."""
-
-    settings: OdometrySettings
-    scans: deque[FloatArray] = field(init=False)
-    cloud: small_gicp.PointCloud = field(init=False)
-    tree: small_gicp.KdTree = field(init=False)
-    key_pose: Pose = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.scans = deque(maxlen=self.settings.key_scans)
-
-    def add(self, points: FloatArray, pose: Pose) -> None:
-        """Take in a downsampled key scan given in the sensor frame."""
-        self.scans.append(points @ pose.rotation.T + pose.position)
-        self.key_pose = pose
-        near = np.concatenate(self.scans)
-        near = near[np.linalg.norm(near - pose.position, axis=1) < self.settings.max_range_m]
-        self.cloud, self.tree = small_gicp.preprocess_points(
-            near, self.settings.downsampling_m, self.settings.neighbours
-        )
-
-    def wants(self, pose: Pose) -> bool:
-        """Whether the robot has moved enough since the last key scan."""
-        step = self.key_pose.inverse().compose(pose)
-        return bool(
-            np.linalg.norm(step.position) > self.settings.key_translation_m
-            or _angle(step) > self.settings.key_rotation_rad
-        )
-
-
 class Odometry:
-    """Tracks the sensor's pose scan by scan; the odometry frame is the first scan's sensor frame."""
+    """Tracks the sensor's pose scan by scan."""
 
     def __init__(self, settings: OdometrySettings | None = None) -> None:
-        self._settings = settings or OdometrySettings()
-        self._submap = _Submap(self._settings)
-        self._pose = Pose.identity()
-        self._stamp_s: float | None = None
-        self._linear_m_s = np.zeros(3)
-        self._angular_rad_s = np.zeros(3)
+        self.settings = settings or OdometrySettings()
+        self.scale = WayScale()
+        self._thin = Thinner()
+        self._drift = Drift()
+        self._belief: Belief | None = None
+        self._lost_scans = 0
+        self._last = np.zeros((0, 3), dtype=np.float32)
+        self._renew()
+
+    @classmethod
+    def restored(cls, data: bytes, settings: OdometrySettings | None = None) -> Odometry:
+        """Go on in the frame of an odometry that was saved: where it was, its last scan the map.
+
+        If the next scan does not fit that one, the map begins anew there, with a covariance for the time between.
+        Raises InputError for damaged data.
+        """
+        state = OdometryState.from_bytes(data)
+        odometry = cls(settings)
+        limits = odometry.settings
+        odometry._belief = Belief.first(state.stamp_s, _GRID.compose(state.pose), limits.motion)
+        odometry._drift = Drift(state.covariance)
+        odometry.scale = WayScale(*state.scale)
+        points = state.points.astype(np.float64)
+        thinned = Thinned(points, np.zeros(len(points)), np.ones(len(points)))
+        odometry._insert(thinned, odometry._belief.pose, np.zeros(6))
+        odometry._lost_scans = limits.give_up
+        return odometry
+
+    def saved(self) -> bytes:
+        """A state for `restored`; empty before the first scan."""
+        if self._belief is None:
+            return b""
+        covariance = self._drift.total(self._belief.covariance[:6, :6], self.scale.variance)
+        scale = (self.scale.share, self.scale.variance)
+        return OdometryState(self._belief.stamp_s, self.pose, covariance, scale, self._last).to_bytes()
 
     @property
     def pose(self) -> Pose:
-        """Last good pose."""
-        return self._pose
+        """The last estimate's."""
+        return Pose.identity() if self._belief is None else _GRID.inverse().compose(self._belief.pose)
 
-    def step(self, points: Points, stamp_s: float, offsets_s: Points | None = None) -> OdometryResult:
+    def step(
+        self,
+        stamp_s: float,
+        points: Points,
+        offsets_s: Points | None = None,
+        prediction: RelativeMotion | None = None,
+    ) -> Estimate:
         """Register a scan.
 
-        `points` (N, 3) in metres in the sensor frame; `offsets_s` (N,) seconds of every point relative to
-        `stamp_s`, with which the motion during the sweep is taken out. A scan that does not fit (too few
-        points, too few inliers, an impossible jump) leaves the pose as it was.
+        `points` (N, 3) in metres in the sensor frame, rows with NaN are left out; `offsets_s` (N,) seconds of
+        every point relative to `stamp_s`, None for a scan taken at once. `prediction`: what other sensors tell
+        of the motion since the step before; needed where the sensor may move in an unforeseen way by more than
+        about 0.5 m or 20 degrees between scans.
         """
-        finite = np.isfinite(points).all(axis=1)
-        still = self._undistorted(points[finite], None if offsets_s is None else offsets_s[finite])
-        source = self._prepared(still)
-        if source is None:
-            return OdometryResult(self._pose, False, 0.0, np.inf, still)
-        if self._stamp_s is None:
-            self._stamp_s = stamp_s
-            self._submap.add(source.points()[:, :3], self._pose)
-            return OdometryResult(self._pose, True, 1.0, 0.0, still)
-        pose, ratio, error = self._registered(source, stamp_s)
-        if pose is None:
-            self._linear_m_s, self._angular_rad_s = np.zeros(3), np.zeros(3)
-            return OdometryResult(self._pose, False, ratio, error, still)
-        self._advance(pose, stamp_s)
-        if self._submap.wants(pose):
-            self._submap.add(source.points()[:, :3], pose)
-        return OdometryResult(pose, True, ratio, error, still)
+        sweep = Sweep.of(points, offsets_s)
+        if self._belief is None:
+            return self._begun(stamp_s, sweep)
+        if stamp_s <= self._belief.stamp_s:
+            return self._estimate(sweep.points, reason="older than the scan before")
+        prior = self._predicted(self._belief, stamp_s, prediction)
+        still = sweep.still(prior.twist)
+        thinned = self._thinned(still, sweep)
+        if len(thinned.points) < self.settings.min_points:
+            return self._missed(prior, still, None, "too few points")
+        found, reason = self._registered(self._belief, prior, thinned.few(self.settings.points))
+        if reason:
+            return self._missed(prior, still, thinned, reason, found.inlier_ratio)
+        return self._accepted(self._belief, prior, found, prediction, thinned, sweep)
 
-    def _prepared(self, points: Points) -> small_gicp.PointCloud | None:
-        """The downsampled source with covariances, or None when too little of it is in range."""
-        distance = np.linalg.norm(points, axis=1)
-        kept = (distance > self._settings.min_range_m) & (distance < self._settings.max_range_m)
-        if int(kept.sum()) < self._settings.min_points:
-            return None
-        cloud, _ = small_gicp.preprocess_points(
-            points[kept].astype(np.float64), self._settings.downsampling_m, self._settings.neighbours
+    def _begun(self, stamp_s: float, sweep: Sweep) -> Estimate:
+        thinned = self._thinned(sweep.points, sweep)
+        if len(thinned.points) < self.settings.min_points:
+            return self._estimate(sweep.points, reason="too few points", stamp_s=stamp_s)
+        self._belief = Belief.first(stamp_s, _GRID, self.settings.motion)
+        self._insert(thinned, _GRID, np.zeros(6))
+        return self._estimate(sweep.points, inlier_ratio=1.0)
+
+    def _predicted(self, belief: Belief, stamp_s: float, told: RelativeMotion | None) -> Prior:
+        if told is None:
+            return steady(belief, stamp_s, self.settings.motion)
+        corrected = replace(told, motion=self.scale.corrected(told.motion))
+        return informed(belief, stamp_s, corrected, self.scale.variance, self.settings.motion)
+
+    def _thinned(self, still: Points, sweep: Sweep) -> Thinned:
+        limits = (self.settings.min_range_m, self.settings.max_range_m)
+        return self._thin(still, sweep.offsets_s, self.settings.cell_m, limits)
+
+    def _registered(self, belief: Belief, prior: Prior, thinned: Thinned) -> tuple[Alignment, str]:
+        """From the prediction; where that fails or leads far away, from the last pose with nothing assumed."""
+        found = self._aligner.align(thinned, prior)
+        reason = self._refusal(belief, prior, found)
+        if not reason and not self._jumped(prior, found):
+            return found, ""
+        start = replace(guess(belief, prior.stamp_s, self.settings.motion), twist=prior.twist)
+        second = self._aligner.align(thinned, start, wide=True)
+        return second, self._refusal(belief, start, second)
+
+    def _refusal(self, belief: Belief, prior: Prior, found: Alignment) -> str:
+        """Why an alignment cannot be right; empty if it can."""
+        limits = self.settings
+        if found.matched < limits.min_matched * found.points:
+            return "unknown place"
+        if found.fitting < limits.min_fitting * found.matched:
+            return "does not fit"
+        moved_m = np.linalg.norm(found.pose.position - belief.pose.position)
+        corrected_m = np.linalg.norm(found.pose.position - prior.pose.position)
+        elapsed_s = max(prior.stamp_s - belief.stamp_s, 0.1)
+        if moved_m > limits.max_speed_m_s * elapsed_s or corrected_m > limits.max_correction_m:
+            return "impossible jump"
+        return ""
+
+    def _jumped(self, prior: Prior, found: Alignment) -> bool:
+        off_m = np.linalg.norm(found.pose.position - prior.pose.position)
+        sigma_m = np.sqrt(np.trace(prior.covariance[:3, :3]))
+        return bool(off_m > self.settings.jump_m + self.settings.jump_sigmas * sigma_m)
+
+    def _accepted(
+        self,
+        belief: Belief,
+        prior: Prior,
+        found: Alignment,
+        told: RelativeMotion | None,
+        thinned: Thinned,
+        sweep: Sweep,
+    ) -> Estimate:
+        motion = belief.pose.inverse().compose(found.pose)
+        self._belief = Belief(prior.stamp_s, found.pose, prior.twist + found.twist, found.covariance)
+        renewed = float(np.linalg.norm(motion.position)) / self.settings.renewal_m
+        known = found.covariance[:6, :6] - found.blind
+        self._drift.follow(motion, renewed, known, found.blind, found.conditioning.free)
+        weak = found.conditioning.weak
+        if told is not None and not weak:
+            self.scale.watch(told.motion, motion)
+        else:
+            self.scale.restart()
+        self._lost_scans = 0
+        self._last = thinned.few(self.settings.inserted).points.astype(np.float32)
+        if self._wants(found.pose):
+            self._insert(thinned, found.pose, found.twist)
+        return self._estimate(
+            sweep.still(self._belief.twist),
+            degenerate=found.conditioning.axes(),
+            jump=self._jumped(prior, found),
+            inlier_ratio=found.inlier_ratio,
         )
-        return cloud if cloud.size() >= self._settings.min_points else None
 
-    def _registered(self, source: small_gicp.PointCloud, stamp_s: float) -> tuple[Pose | None, float, float]:
-        """Best pose from the predicted start, else from the last pose; None when neither fits."""
-        ratio, error = 0.0, np.inf
-        starts = (
-            (self._predicted(stamp_s), self._settings.search_m),
-            (self._pose, self._settings.wide_search_m),
+    def _missed(
+        self, prior: Prior, still: Points, thinned: Thinned | None, reason: str, inlier_ratio: float = 0.0
+    ) -> Estimate:
+        """The prediction stands in for the scan; without one the last pose, at rest."""
+        before, covariance = self._belief, prior.covariance
+        pose, twist, motion = prior.pose, prior.twist, prior.motion
+        if not prior.told and before is not None:
+            covariance = covariance.copy()
+            covariance[:6, :6] += np.outer(*2 * (between(Pose.identity(), motion),))
+            pose, twist, motion = before.pose, np.zeros(6), Pose.identity()
+        self._belief = Belief(prior.stamp_s, pose, twist, covariance)
+        self._drift.follow(motion, 0.0, np.zeros((6, 6)), covariance[:6, :6], EVERYTHING)
+        self.scale.restart()
+        self._lost_scans += 1
+        if thinned is None or self._lost_scans <= self.settings.give_up:
+            return self._estimate(still, degenerate=EVERYTHING, reason=reason, inlier_ratio=inlier_ratio)
+        return self._anew(self._belief, still, thinned)
+
+    def _anew(self, belief: Belief, still: Points, thinned: Thinned) -> Estimate:
+        """A new map where the robot is thought to be."""
+        self._drift.settle(self._drift.total(belief.covariance[:6, :6], self.scale.variance))
+        self._belief = replace(
+            Belief.first(belief.stamp_s, belief.pose, self.settings.motion), twist=belief.twist
         )
-        for start, search_m in starts:
-            transform, ratio, error = self._aligned(source, start.matrix(), search_m)
-            pose = Pose.from_matrix(transform)
-            if ratio >= self._settings.min_inlier_ratio and self._possible(pose, start, stamp_s):
-                return pose, ratio, error
-        return None, ratio, error
+        self._lost_scans = 0
+        self._renew()
+        self._insert(thinned, belief.pose, np.zeros(6))
+        return self._estimate(still, jump=True, reason="map begun anew")
 
-    def _aligned(
-        self, source: small_gicp.PointCloud, transform: FloatArray, search_m: tuple[float, ...]
-    ) -> tuple[FloatArray, float, float]:
-        ratio, error = 0.0, np.inf
-        for distance_m in search_m:
-            result = small_gicp.align(
-                self._submap.cloud,
-                source,
-                self._submap.tree,
-                init_T_target_source=transform,
-                registration_type="GICP",
-                max_correspondence_distance=distance_m,
-                num_threads=1,
-            )
-            transform = result.T_target_source
-            ratio = result.num_inliers / source.size()
-            error = result.error / max(result.num_inliers, 1)
-        return transform, float(ratio), float(error)
+    def _renew(self) -> None:
+        self._map = PlaneMap(self.settings.max_cells)
+        self._aligner = Aligner(self._map, self.settings.alignment, self.settings.motion)
+        self._key_pose, self._key_scans = _GRID, 0
 
-    def _predicted(self, stamp_s: float) -> Pose:
-        """Constant velocity in the body frame since the last good pose."""
-        elapsed_s = stamp_s - (self._stamp_s or 0.0)
-        turn = Rotation.from_rotvec(self._angular_rad_s * elapsed_s)
-        return self._pose.compose(Pose(self._linear_m_s * elapsed_s, turn.as_quat()))
+    def _wants(self, pose: Pose) -> bool:
+        """Whether a scan at this pose goes into the map."""
+        step = between(self._key_pose, pose)
+        shift, turn = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        limits = self.settings
+        return bool(
+            self._key_scans < limits.first_scans
+            or shift > limits.key_translation_m
+            or turn > limits.key_rotation_rad
+        )
 
-    def _possible(self, pose: Pose, start: Pose, stamp_s: float) -> bool:
-        elapsed_s = max(stamp_s - (self._stamp_s or 0.0), 0.1)
-        moved_m = np.linalg.norm(pose.position - self._pose.position)
-        corrected_m = np.linalg.norm(pose.position - start.position)
-        limits = self._settings
-        return bool(moved_m <= limits.max_speed_m_s * elapsed_s and corrected_m <= limits.max_correction_m)
+    def _insert(self, thinned: Thinned, pose: Pose, twist: FloatArray) -> None:
+        self._map.insert(thinned.few(self.settings.inserted).moved(pose, twist), pose.position)
+        self._map.forget(pose.position, self.settings.map_radius_m)
+        self._key_pose = pose
+        self._key_scans += 1
 
-    def _advance(self, pose: Pose, stamp_s: float) -> None:
-        elapsed_s = stamp_s - (self._stamp_s or 0.0)
-        if elapsed_s > 0:
-            step = self._pose.inverse().compose(pose)
-            self._linear_m_s = step.position / elapsed_s
-            self._angular_rad_s = Rotation.from_quat(step.quaternion).as_rotvec() / elapsed_s
-        self._pose, self._stamp_s = pose, stamp_s
-
-    def _undistorted(self, points: Points, offsets_s: Points | None) -> Points:
-        """Every point as seen from where the sensor was at the scan's stamp, at constant velocity."""
-        still = not self._linear_m_s.any() and not self._angular_rad_s.any()
-        if offsets_s is None or still or not len(points):
-            return points
-        turns = Rotation.from_rotvec(offsets_s[:, None] * self._angular_rad_s)
-        moved = turns.apply(points) + offsets_s[:, None] * self._linear_m_s
-        return np.asarray(moved, dtype=np.float32)
-
-
-def _angle(pose: Pose) -> float:
-    return float(2 * np.arccos(np.clip(abs(pose.quaternion[3]), 0.0, 1.0)))
+    def _estimate(
+        self,
+        points: Points,
+        degenerate: FloatArray = NOWHERE,
+        jump: bool = False,
+        reason: str = "",
+        inlier_ratio: float = 0.0,
+        stamp_s: float | None = None,
+    ) -> Estimate:
+        belief = self._belief or Belief.first(stamp_s or 0.0, _GRID, self.settings.motion)
+        covariance = self._drift.total(belief.covariance[:6, :6], self.scale.variance)
+        ok = not reason or jump
+        return Estimate(
+            belief.stamp_s,
+            self.pose,
+            covariance,
+            belief.twist,
+            degenerate,
+            ok,
+            jump,
+            reason,
+            inlier_ratio,
+            points,
+        )
