@@ -210,7 +210,7 @@ def test_knots_of_a_correction_ascend(numbers: tuple[int, int]) -> None:
 
 
 def test_unknown_versions_and_kinds_are_refused() -> None:
-    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 15, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
+    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 16, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
         with pytest.raises(WireError, match="unknown version"):
             unpack(head + struct.pack("<I", crc32c(head)))
 

@@ -1,0 +1,81 @@
+"""What a robot draws into its map: its own scans, and its peers' keyframes where those say they were."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onboard.core.geometry import Pose
+from onboard.core.lidar import Scan
+from onboard.localization.corrections import Correction, Knot
+from onboard.mission import Phase
+from onboard.planning.local_graph import FloatArray
+from onboard.planning.relocation import relocate
+from onboard.robot.map_frame import MapFrame, Told
+from onboard.robot.roles import Team
+from onboard.sharing.correction_talk import CorrectionTalk
+from onboard.sharing.messages import CorrectionKnot, Corrections
+
+
+class Mapper:
+    """Keeps map, keyframes and frame of one robot in step."""
+
+    def __init__(self, team: Team, frame: MapFrame) -> None:
+        self.frame = frame
+        self._team = team
+        self._talk = CorrectionTalk(team.settings.id)
+
+    def draw(self, scan: Scan, told: Told, phase: Phase) -> None:
+        """An own scan from which the other robots' bodies have been taken out."""
+        team, pose = self._team, self.frame.pose(told)
+        team.profile.timed("map", team.sensing.integrate, scan, pose)
+        if phase == Phase.CARRIED:
+            return
+        sequence = self._keyframe(scan, pose) if team.sensing.keyframe_due(scan, pose) else None
+        team.profile.timed("poses", self.frame.scan, scan, told, sequence)
+
+    def _keyframe(self, scan: Scan, pose: Pose) -> int:
+        team = self._team
+        payload, position = team.profile.timed("encode", team.sensing.make_keyframe, scan, pose)
+        team.keyframe_positions.append(position)
+        team.keyframe_bytes += len(payload)
+        return team.link.add_keyframe(scan.stamp_s, payload)
+
+    def receive(self) -> None:
+        """Draw what keyframes have come."""
+        places: list[FloatArray] = []
+        for source, sequence, payload in self._team.link.take_keyframes():
+            keyframe = self._team.profile.timed("decode", self._team.sensing.decoded, payload)
+            if keyframe is not None:
+                pose = self.frame.peer((source, sequence), keyframe)
+                self._team.sensing.receive(keyframe, pose)
+                places.append(pose.position)
+        self._team.remember_trail(places)
+
+    def came(self, source: int, message: Corrections) -> None:
+        """A peer's word on where its keyframes are, or that it knows of ours."""
+        if message.knots:
+            knots = tuple(Knot(knot.sequence, knot.shift_m, knot.turn_rad) for knot in message.knots)
+            self.frame.take(Correction(message.source, message.revision, knots))
+        answer = self._talk.came(source, message)
+        if answer is not None:
+            self._team.link.post(answer, source)
+
+    def step(self, now_s: float) -> bool:
+        """Let map and poses follow closed loops; whether the map is another from now on."""
+        team = self._team
+        moves = team.profile.timed("poses", self.frame.step, team.explorer.map)
+        if moves is not None:
+            relocate(team.explorer, moves)
+            self._talk.tell(_packed(moves.correction))
+            far_m = max(float(np.linalg.norm(a.position - b.position)) for a, b in moves.pairs)
+            team.log("map_redrawn", revision=moves.correction.revision, moved_m=round(far_m, 3))
+        for peer in team.peer_ids:
+            message = self._talk.due(now_s, peer) if team.link.in_contact(peer, now_s) else None
+            if message is not None:
+                team.link.post(message, peer)
+        return moves is not None
+
+
+def _packed(correction: Correction) -> Corrections:
+    knots = (CorrectionKnot(knot.sequence, knot.shift_m, knot.turn_rad) for knot in correction.knots)
+    return Corrections(correction.source, correction.revision, tuple(knots))
