@@ -52,6 +52,8 @@ class Agent:
             self.body = AerialRobot(settings, scene, start)
         self.localisation, frame = localised(poses, settings, self.body.pose, seed)
         self.core = RobotCore(config, settings, seed, self.body.pose, log, time.perf_counter, planner, frame)
+        self.pose_error_m = self.worst_pose_error_m = 0.0
+        """Distance between where the core believes the body to be and where it is: now, and at most."""
         self.inbox: list[bytes] = []
         self.path: list[tuple[float, float, float, float]] = []
 
@@ -88,7 +90,11 @@ class Agent:
             self.localisation.scanned(scan)
         frames, self.inbox = tuple(self.inbox), []
         inputs = Inputs(now_s, self.localisation.told(), self.body.battery_left, scan, frames)
-        return self.core.step(inputs)
+        outputs = self.core.step(inputs)
+        if not self.carried:
+            self.pose_error_m = float(np.linalg.norm(self.believed.position - self.pose.position))
+            self.worst_pose_error_m = max(self.worst_pose_error_m, self.pose_error_m)
+        return outputs
 
     @property
     def believed(self) -> Pose:
@@ -111,9 +117,7 @@ class Agent:
         return self.core.phase == Phase.DONE or self.carried
 
 
-def localised(
-    poses: Poses, settings: RobotSettings, start: Pose, seed: int
-) -> tuple[Localisation, MapFrame]:
+def localised(poses: Poses, settings: RobotSettings, start: Pose, seed: int) -> tuple[Localisation, MapFrame]:
     """The localisation of a robot at `start` in the map's frame, and what its core makes of the poses."""
     if poses == "true":
         return TrueLocalisation(start), Given()
