@@ -97,7 +97,7 @@ def play(world_name: str, seed: int, duration_s: float, loss: float, blocked: bo
 
     def note(_time_s: float, kind: str, **fields: Any) -> None:
         if kind == "way_back":
-            reported[fields["robot"]] = bool(fields["blocked"])
+            reported[fields["robot"]] = fields["blocked"] or fields["late"]
 
     mission = Mission(config, world, scene, seed, note)
     barrier = Barrier(mission, scene)

@@ -7,14 +7,15 @@ from itertools import chain
 from pathlib import Path
 
 from drivers.cloud_formats import SUFFIXES
-from drivers.ouster import open_ouster
+from drivers.osf import open_osf
+from drivers.packet_recordings import open_bag, open_pcap, open_rawlog
+from drivers.rosbag import bag_folder
 from drivers.scan_files import open_scan_files
 from drivers.types import Recording
-from drivers.velodyne import is_velodyne_pcap, open_velodyne
 from onboard.core.errors import InputError
 from onboard.core.lidar import lidar_model
 
-KINDS = (".pcap", ".rawlog", ".osf", *SUFFIXES)
+KINDS = (".pcap", ".pcapng", ".rawlog", ".osf", ".db3", ".mcap", *SUFFIXES)
 
 
 def open_recording(path: Path, sensor: str | None = None) -> Recording:
@@ -45,16 +46,19 @@ def open_recording(path: Path, sensor: str | None = None) -> Recording:
 
 
 def _open(path: Path) -> Recording:
+    bag = bag_folder(path)
+    if bag is not None:
+        return open_bag(bag)
     if path.is_dir() or path.suffix in SUFFIXES:
         return open_scan_files(path)
     match path.suffix:
         case ".rawlog":
-            return open_velodyne(path)
+            return open_rawlog(path)
         case ".osf":
-            return open_ouster(path)
-        case ".pcap":
-            return open_velodyne(path) if is_velodyne_pcap(path) else open_ouster(path)
+            return open_osf(path)
+        case ".pcap" | ".pcapng":
+            return open_pcap(path)
         case other:
             raise InputError(
-                f"{path}: unknown kind '{other}'; known: {', '.join(KINDS)} or a folder of scans"
+                f"{path}: unknown kind '{other}'; known: {', '.join(KINDS)}, a ROS 2 bag or a folder of scans"
             )

@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 from drivers.cloud_formats import SUFFIXES, read_points
-from drivers.types import MIN_RETURNS, PointScan, Recording
+from drivers.types import MIN_RETURNS, LidarScan, Recording
 from onboard.core.errors import InputError
 
 SCAN_PERIOD_S = 0.1
@@ -46,8 +46,8 @@ def open_scan_files(path: Path) -> Recording:
     return Recording(f"point cloud files ({files[0].suffix[1:]})", None, _scans(files), len(files))
 
 
-def _scans(files: list[Path]) -> Iterator[PointScan]:
+def _scans(files: list[Path]) -> Iterator[LidarScan]:
     for number, file in enumerate(files):
         points = read_points(file)
         if len(points) >= MIN_RETURNS:
-            yield PointScan(number * SCAN_PERIOD_S, points)
+            yield LidarScan(number * SCAN_PERIOD_S, points)

@@ -1,12 +1,17 @@
-"""The one neutral scan that every driver yields, whatever the sensor or file."""
+"""What drivers yield, whatever the sensor or file: scans, inertial samples and events."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from onboard.core.imu import ImuSample
+from onboard.core.lidar import Scan
+from onboard.core.view_mask import ViewMask
 
 MIN_RETURNS = 100
 """A scan with fewer returns holds nothing to register or map."""
@@ -14,27 +19,88 @@ MIN_RETURNS = 100
 WHOLE_COVERAGE = 0.25
 """Share of a revolution from which a sweep counts as a scan of its own."""
 
+COMPLETE = 0.995
+"""Share of a revolution from which a sweep counts as complete: the seam may cost a firing or two."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PointScan:
+class LidarScan:
     """One sweep of a LiDAR.
 
     `points` (N, 3) float32 metres in the sensor frame (x forward, z up, origin at the optical centre),
     `offsets_s` (N,) float32 seconds of every return relative to `stamp_s`, or None when not known. The stamp
-    is the middle of the sweep.
+    is the middle of the sweep in host time, `device_stamp_s` the same instant on the sensor's clock. `image`
+    is the sweep as the range image of the nominal LiDAR (onboard.core.lidar): 0 = no information (lost
+    packets, masked pixels, closer than the sensor measures), inf = the sensor tells that nothing came back;
+    None where the source does not tell pixels (point cloud files). `completeness` is the share (0 to 1) of
+    the revolution whose packets arrived, `faults` what the sensor says is wrong with it.
     """
 
     stamp_s: float
     points: NDArray[np.float32]
     offsets_s: NDArray[np.float32] | None = None
+    image: Scan | None = None
+    device_stamp_s: float | None = None
+    completeness: float = 1.0
+    faults: tuple[str, ...] = ()
+
+    @property
+    def complete(self) -> bool:
+        """Whether the whole revolution arrived; a half scan is not."""
+        return self.completeness >= COMPLETE
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sweep:
-    """A scan and the share of a full revolution (0 to 1) that its packets cover."""
+EventKind = Literal["silent", "back", "restart", "refused", "overflow", "fault"]
 
-    scan: PointScan
-    coverage: float
+
+@dataclass(frozen=True, slots=True)
+class SensorEvent:
+    """Something to report: `text` is one line for the operator, what is and what to do."""
+
+    stamp_s: float
+    kind: EventKind
+    text: str
+
+
+Output = LidarScan | ImuSample | SensorEvent
+
+
+@dataclass(slots=True)
+class Counters:
+    """What a decoder has seen so far."""
+
+    packets: int = 0
+    """Data packets used."""
+    lost: int = 0
+    """Packets that the sensor sent and that did not arrive."""
+    late: int = 0
+    """Packets dropped because they came twice or after their sweep."""
+    damaged: int = 0
+    """Packets of the right kind whose contents cannot be."""
+    refused: int = 0
+    """Packets of another size, product, configuration or sensor."""
+    scans: int = 0
+    half_scans: int = 0
+
+
+class Decoder(Protocol):
+    """Packets in, outputs out; no sockets, files or clocks inside."""
+
+    counters: Counters
+
+    def feed(self, payload: bytes, host_s: float) -> list[Output]:
+        """Take one UDP payload that arrived at `host_s`; never raises for what is in it."""
+
+    def finish(self) -> list[Output]:
+        """What is left when no more packets come."""
+
+
+class Packet(NamedTuple):
+    """A UDP payload with its arrival in seconds and the address of its sender ("" where not known)."""
+
+    stamp_s: float
+    source: str
+    payload: bytes
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,33 +113,37 @@ class Recording:
 
     sensor_name: str
     model_name: str | None
-    scans: Iterator[PointScan]
+    scans: Iterator[LidarScan]
     total: int | None
 
 
-def timed_scan(points: NDArray[np.float32], times_s: NDArray[np.float64]) -> PointScan:
-    """A scan stamped at the middle of its sweep, from the time of every return.
+def masked(scan: LidarScan, mask: ViewMask) -> LidarScan:
+    """The scan without what lies behind `mask`: its pixels say nothing, its points are gone."""
+    if not mask.polygons:
+        return scan
+    keep = ~mask.of_points(scan.points)
+    image = scan.image
+    if image is not None:
+        hidden = mask.of_model(image.model)
+        image = replace(image, ranges=np.where(hidden, np.float32(0), image.ranges))
+    offsets = None if scan.offsets_s is None else scan.offsets_s[keep]
+    return replace(scan, points=scan.points[keep], offsets_s=offsets, image=image)
 
-    The middle, because a scan whose motion is not yet known shows the scene about as seen from there.
-    """
-    stamp_s = float(times_s.min() + times_s.max()) / 2 if len(times_s) else 0.0
-    return PointScan(stamp_s, points, (times_s - stamp_s).astype(np.float32))
 
-
-def whole_scans(sweeps: Iterable[Sweep]) -> Iterator[PointScan]:
+def whole_scans(scans: Iterable[LidarScan]) -> Iterator[LidarScan]:
     """The scans that cover at least a quarter of a revolution; if there is none, the widest of the others.
 
     Recordings start and end in mid-turn: such slivers are dropped, unless they are all there is.
     """
-    widest: Sweep | None = None
+    widest: LidarScan | None = None
     found = False
-    for sweep in sweeps:
-        if len(sweep.scan.points) < MIN_RETURNS:
+    for scan in scans:
+        if len(scan.points) < MIN_RETURNS:
             continue
-        if sweep.coverage >= WHOLE_COVERAGE:
+        if scan.completeness >= WHOLE_COVERAGE:
             found = True
-            yield sweep.scan
-        elif widest is None or sweep.coverage > widest.coverage:
-            widest = sweep
+            yield scan
+        elif widest is None or scan.completeness > widest.completeness:
+            widest = scan
     if not found and widest is not None:
-        yield widest.scan
+        yield widest

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO, TextIO
 import numpy as np
 from numpy.typing import NDArray
 
-from drivers.types import PointScan, Recording
+from drivers.types import LidarScan, Recording
 from ground_station.range_image import likely_model_name, to_range_image
 from onboard.codec import decode, encode
 from onboard.core.geometry import Pose, rotation_angle
@@ -75,7 +75,7 @@ class RecordingSession:
             self._model = lidar_model(self.recording.model_name or likely_model_name(points))
         return self._model
 
-    def add(self, scan: PointScan) -> None:
+    def add(self, scan: LidarScan) -> None:
         """Locate and map one scan; a scan that the odometry refuses is counted and left out."""
         start_s = time.perf_counter()
         located = self.odometry.step(scan.points, scan.stamp_s, scan.offsets_s)

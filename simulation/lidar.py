@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from onboard.core.config import LidarSettings, Vector
 from onboard.core.geometry import Pose
 from onboard.core.lidar import LidarModel, Scan, lidar_model
+from onboard.core.view_mask import ViewMask
 from simulation.scene import Scene
 
 Body = tuple[Pose, Vector]
@@ -27,9 +28,10 @@ class LidarSimulator:
         self._rng = rng
         self._rays = np.zeros((self.model.rows * self.model.columns, 6), dtype=np.float32)
         self._directions = self.model.directions.reshape(-1, 3)
+        self._masked = ViewMask(settings.masks).of_model(self.model).reshape(-1)
 
     def scan(self, sensor_pose: Pose, stamp_s: float, bodies: Sequence[Body] = ()) -> tuple[Scan, Scan]:
-        """The measured scan (noise, dropout, other robots' bodies) and the perfect one of the bare world.
+        """The measured scan (noise, dropout, mask, others' bodies) and the perfect one of the bare world.
 
         `sensor_pose` is the sensor's frame in the world. Ranges beyond the model's maximum are inf,
         those below its minimum 0 (no information).
@@ -46,11 +48,11 @@ class LidarSimulator:
         return self._finish(measured, stamp_s), self._finish(true, stamp_s)
 
     def _disturb(self, ranges: NDArray[np.float32]) -> None:
-        """Gaussian range noise on every return and pulses lost at random, in place."""
+        """Gaussian range noise on every return, pulses lost at random, the body's own mask; in place."""
         noise = self._rng.standard_normal(len(ranges), dtype=np.float32)
         lost = self._rng.random(len(ranges), dtype=np.float32) < np.float32(self._settings.dropout)
         ranges += noise * np.float32(self._settings.noise_std_m)
-        ranges[lost] = 0.0
+        ranges[lost | self._masked] = 0.0
 
     def _finish(self, ranges: NDArray[np.float32], stamp_s: float) -> Scan:
         ranges[ranges > self.model.max_range_m] = np.inf

@@ -13,6 +13,7 @@ from benchmarks.tables import markdown, number
 
 COMPARED = (
     ("ours", "parity"),
+    ("ours", "parity-home"),
     ("ours", "parity-fast0"),
     ("ours", "nearest"),
     ("team", "apart"),

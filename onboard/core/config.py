@@ -16,6 +16,9 @@ SlopeAngle = Annotated[float, Field(ge=0, lt=1.5)]
 Ratio = Annotated[float, Field(ge=0, le=1)]
 Vector = tuple[float, float, float]
 Size = tuple[Positive, Positive, Positive]
+Port = Annotated[int, Field(ge=1, le=65_535)]
+MaskCorner = tuple[Annotated[float, Field(ge=-6.3, le=6.3)], Annotated[float, Field(ge=-1.6, le=1.6)]]
+MaskPolygon = Annotated[tuple[MaskCorner, ...], Field(min_length=3, max_length=64)]
 
 
 class Section(BaseModel):
@@ -24,11 +27,30 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
 
 
+class LidarLink(Section):
+    """How a real LiDAR is connected."""
+
+    ports: Annotated[tuple[Port, ...], Field(min_length=1, max_length=4)]
+    """A Velodyne's for data (2368) and position (8308), an Ouster's for LiDAR (7502) and IMU (7503)."""
+    address: str = "0.0.0.0"
+    """Address of the network interface to listen on; 0.0.0.0 is all of them."""
+    sensor_host: str | None = None
+    """The sensor's address: packets of others are ignored, and an Ouster is asked for its metadata."""
+    metadata: Path | None = None
+    """The Ouster's metadata file; without it the sensor is asked."""
+    calibration: Path | None = None
+    """A Velodyne's own calibration (YAML of velodyne_pointcloud); without it the nominal angles hold."""
+    buffer_bytes: Annotated[int, Field(ge=65_536, le=67_108_864)] = 4_194_304
+
+
 class LidarSettings(Section):
-    """The LiDAR of one robot and the noise that the simulator gives it."""
+    """The LiDAR of one robot, how it is connected, and the noise that the simulator gives it."""
 
     model: Literal["vlp-16", "os0-64"]
     mount_m: Vector
+    link: LidarLink | None = None
+    masks: tuple[MaskPolygon, ...] = ()
+    """What the robot itself covers of the view: corners (azimuth, elevation) in radians, sensor frame."""
     rate_hz: Positive = 2.0
     noise_std_m: NonNegative = 0.02
     dropout: Ratio = 0.02
@@ -69,14 +91,14 @@ class PlannerSettings(Section):
     gain_range_m: Positive = 20.0
     gain_vertices: Annotated[int, Field(ge=5, le=2000)] = 150
     occlusion_rate_per_m: NonNegative = 0.4
-    direction_weight: NonNegative = 1.0
+    direction_weight: NonNegative = 2.0
     start_up_s: Positive = 3.0
     frontier_m3: Positive = 1.5
     horizon_m: Positive = 8.0
     replan_s: Positive = 4.0
     switch_gain: Annotated[float, Field(ge=1)] = 1.15
-    home_margin_s: NonNegative = 20.0
-    home_margin_ratio: Ratio = 0.15
+    home_margin_s: NonNegative = 8.0
+    home_margin_ratio: Ratio = 0.05
 
 
 class RobotSettings(Section):

@@ -22,6 +22,8 @@ from onboard.planning.local_graph import FloatArray, LocalGraph
 
 SWEEP_STEP_M = 0.1
 
+Statuses = NDArray[np.uint8]
+
 
 class Body:
     """Planning view of one robot kind over a voxel map."""
@@ -98,8 +100,14 @@ class Body:
 
     def blocked(self, voxel_map: VoxelMap, starts: FloatArray, ends: FloatArray) -> NDArray[np.bool_]:
         """Whether an occupied voxel lies in the body's way (N,) from (N, 3) to (N, 3)."""
-        status = voxel_map.segment_status(starts + self.box_centre, ends + self.box_centre, self.half_extent)
-        return np.asarray(status == OCCUPIED)
+        return np.asarray(self.way_status(voxel_map, starts, ends) == OCCUPIED)
+
+    def way_status(
+        self, voxel_map: VoxelMap, starts: FloatArray, ends: FloatArray, room_m: float = 0.0
+    ) -> Statuses:
+        """Worst status (N,) within `room_m` of the body on straight ways from (N, 3) to (N, 3)."""
+        half = self.half_extent + room_m
+        return voxel_map.segment_status(starts + self.box_centre, ends + self.box_centre, half)
 
 
 def _circle(radius_m: float, height_m: float) -> FloatArray:

@@ -1,12 +1,9 @@
 """The carrier's question at every planning step: would a flying robot gain far more than I can myself?
 
-Two rules. `paper`: `phi_g <= exp(-gamma) phi_a` on the gains of the best ground path and the best vertex
-of a virtual
-aerial graph. `rate`: the same comparison on gains per second, so that speed and distance count, with
-`gamma` fading to
-zero once the remaining mission is no longer than the aerial robot's endurance: from then on every second
-in the
-bracket is flight time that can never be used.
+Two rules. `paper`: `phi_g <= exp(-gamma) phi_a` on the gains of the best ground path and the best vertex of a
+virtual aerial graph. `rate`: the same comparison on gains per second, so that speed and distance count, with
+`gamma` fading to zero once the remaining mission is no longer than the aerial robot's endurance: from then on
+every second in the bracket is flight time that can never be used.
 """
 
 from __future__ import annotations
@@ -30,7 +27,10 @@ TAKE_OFF_M = 0.6
 
 @dataclass(frozen=True, eq=False)
 class AerialOutlook:
-    """What an aerial robot starting here could gain: best vertices (K, 3), first one best."""
+    """What an aerial robot starting here could gain: best vertices (K, 3), first one best.
+
+    `ray_count` is the best one by the paper's measure, 0 unless it was asked for.
+    """
 
     targets: FloatArray
     volume_m3: float
@@ -56,10 +56,12 @@ def aerial_outlook(
     rng: np.random.Generator,
     launch_s: float,
     left: Callable[[FloatArray], FloatArray] | None = None,
+    count_rays: bool = False,
 ) -> AerialOutlook | None:
     """Virtual aerial graph rooted at `take_off` (3,) on the carrier's own map; None if it is boxed in.
 
-    `left` tells which share (N,) of the gains at places (N, 3) other robots leave to this one.
+    `left` tells which share (N,) of the gains at places (N, 3) other robots leave to this one; `count_rays`
+    whether the paper's measure is wanted, which costs as much again.
     """
     graph = body.graph(voxel_map, take_off, rng, None)
     assert isinstance(graph, AerialGraph)
@@ -73,8 +75,11 @@ def aerial_outlook(
     order = np.argsort(-rates, kind="stable")
     targets = _apart(graph.points[views[order]], 3)
     best = int(order[0])
-    counts = body.gain_model.ray_count(voxel_map, graph.points[views] + body.mount, body.area_m)
-    return AerialOutlook(targets, float(gains[best]), float(rates[best]), float(np.max(counts)))
+    count = 0.0
+    if count_rays:
+        eyes = graph.points[views] + body.mount
+        count = float(np.max(body.gain_model.ray_count(voxel_map, eyes, body.area_m)))
+    return AerialOutlook(targets, float(gains[best]), float(rates[best]), count)
 
 
 def _apart(points: FloatArray, count: int, spacing_m: float = 4.0) -> FloatArray:

@@ -23,15 +23,21 @@ A voxel of noise blocks one or two ways, a closed door three: detours of so many
 """
 SLOW = 4.0
 """Such a way takes so many times longer, feeling the way past what is there."""
+UNTRIED = 1.1
+"""A way that was seen but not gone counts as so many times longer when time must not run out on it."""
 
 
 @dataclass(slots=True)
 class Way:
-    """A straight way of `length_m`; `walked`: the robot itself went there; `blocked`: the map says so now."""
+    """A straight way of `length_m`.
+
+    `walked`: the robot itself went there; `blocked`: the map says so now; `narrow`: it shows no spare room.
+    """
 
     length_m: float
     walked: bool = False
     blocked: bool = False
+    narrow: bool = False
 
     @property
     def cost_m(self) -> float:
@@ -39,6 +45,13 @@ class Way:
         if not self.blocked:
             return self.length_m
         return self.length_m + DEAR_M if self.walked else np.inf
+
+    @property
+    def cautious_m(self) -> float:
+        """The cost for a robot that must get there in time: gaps that were seen from afar are often none."""
+        if self.walked or self.blocked:
+            return self.cost_m
+        return np.inf if self.narrow else UNTRIED * self.length_m
 
     @property
     def travel_m(self) -> float:
@@ -97,20 +110,23 @@ class Edges:
             found |= self._in_block.get(key, set())
         return sorted(found)
 
-    def retest(self, edges: list[Edge], points: FloatArray, blocked: Blocked) -> bool:
+    def retest(self, edges: list[Edge], points: FloatArray, blocked: Blocked, narrow: Blocked | None) -> bool:
         """Ask the map about these ways between `points` (N, 3); True when a cost changed."""
         if not edges:
             return False
         ends = np.array(edges)
-        verdicts = blocked(points[ends[:, 0]], points[ends[:, 1]])
-        before = [self.ways[edge].blocked for edge in edges]
-        for edge, verdict in zip(edges, verdicts, strict=True):
-            self.ways[edge].blocked = bool(verdict)
-        return bool(np.any(verdicts != np.array(before)))
+        starts, ends = points[ends[:, 0]], points[ends[:, 1]]
+        changed, tight_ways = False, narrow(starts, ends) if narrow else np.zeros(len(edges), np.bool_)
+        for edge, closed, tight in zip(edges, blocked(starts, ends), tight_ways, strict=True):
+            way = self.ways[edge]
+            changed |= bool(way.blocked != closed or way.narrow != tight)
+            way.blocked, way.narrow = bool(closed), bool(tight)
+        return changed
 
-    def matrix(self, nodes: int) -> csr_array:
+    def matrix(self, nodes: int, cautious: bool = False) -> csr_array:
         """Symmetric (nodes, nodes) costs in metres of the ways that can be taken."""
-        open_ways = [(edge, way.cost_m) for edge, way in self.ways.items() if np.isfinite(way.cost_m)]
+        costs_m = ((edge, way.cautious_m if cautious else way.cost_m) for edge, way in self.ways.items())
+        open_ways = [(edge, cost_m) for edge, cost_m in costs_m if np.isfinite(cost_m)]
         ends = np.array([edge for edge, _ in open_ways], np.int64).reshape(-1, 2)
         costs = np.array([cost for _, cost in open_ways])
         rows = np.concatenate([ends[:, 0], ends[:, 1]])

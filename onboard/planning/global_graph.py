@@ -40,6 +40,8 @@ class GlobalGraph:
     def __init__(self, home: FloatArray, block_m: float = 1.6, reach_m: float = 0.6) -> None:
         """`block_m`: edge of a map block; `reach_m`: farthest that the body reaches from its way's line."""
         self.edges = Edges(block_m, reach_m)
+        self.revision = 0
+        """Grows with every change of a node or of what an edge costs."""
         self._points = np.full((64, 3), np.inf)
         self._points[0] = home
         self._count = 1
@@ -48,8 +50,8 @@ class GlobalGraph:
         self._pins: dict[int, int] = {}
         self._last = 0
         self._untested: list[tuple[int, int]] = []
-        self._matrix: csr_array | None = None
-        self._trees: dict[tuple[int, ...], Tree] = {}
+        self._matrices: dict[bool, csr_array] = {}
+        self._trees: dict[tuple[tuple[int, ...], bool], Tree] = {}
 
     def __len__(self) -> int:
         return self._count - len(self._free)
@@ -135,7 +137,7 @@ class GlobalGraph:
             self._untested.append(ordered(first, second))
             self._changed()
 
-    def verify(self, changed: Iterable[int], blocked: Blocked) -> int:
+    def verify(self, changed: Iterable[int], blocked: Blocked, narrow: Blocked | None = None) -> int:
         """Test the edges in these blocks of the map again, and the new ones; returns how many.
 
         An edge that looks blocked costs infinitely much, or DEAR_M more where the robot once went; it costs
@@ -144,7 +146,7 @@ class GlobalGraph:
         new = [edge for edge in self._untested if edge in self.edges.ways]
         edges = sorted({*self.edges.touching(changed), *new})
         self._untested = []
-        if self.edges.retest(edges, self.points, blocked):
+        if self.edges.retest(edges, self.points, blocked, narrow):
             self._changed()
         return len(edges)
 
@@ -160,18 +162,19 @@ class GlobalGraph:
         """(S, N) costs in metres from each source, inf beyond the limit."""
         return np.asarray(dijkstra(self._costs(), indices=sources, limit=limit_m)).reshape(len(sources), -1)
 
-    def tree(self, sources: tuple[int, ...]) -> Tree:
-        """The cheapest ways of all nodes to the nearest of `sources`."""
-        if sources not in self._trees:
+    def tree(self, sources: tuple[int, ...], cautious: bool = False) -> Tree:
+        """The cheapest ways of all nodes to the nearest of `sources`; `cautious`: rather by ways that the
+        robot has gone than by those that it has only seen."""
+        if (sources, cautious) not in self._trees:
             costs, following, nearest = dijkstra(
-                self._costs(), indices=sources, return_predecessors=True, min_only=True
+                self._costs(cautious), indices=sources, return_predecessors=True, min_only=True
             )
-            self._trees[sources] = costs, following, nearest
-        return self._trees[sources]
+            self._trees[sources, cautious] = costs, following, nearest
+        return self._trees[sources, cautious]
 
-    def route(self, source: int, target: int) -> list[int]:
-        """Nodes of the shortest route from source to target, empty if there is none."""
-        following = self.tree((source,))[1]
+    def route(self, source: int, target: int, cautious: bool = False) -> list[int]:
+        """Nodes of the cheapest route from source to target, empty if there is none."""
+        following = self.tree((source,), cautious)[1]
         if source != target and following[target] < 0:
             return []
         chain = [target]
@@ -220,11 +223,12 @@ class GlobalGraph:
             if around[other] > DETOUR * offsets[other] and visible(self._points[node], self._points[other]):
                 self.connect(node, other)
 
-    def _costs(self) -> csr_array:
-        if self._matrix is None:
-            self._matrix = self.edges.matrix(self._count)
-        return self._matrix
+    def _costs(self, cautious: bool = False) -> csr_array:
+        if cautious not in self._matrices:
+            self._matrices[cautious] = self.edges.matrix(self._count, cautious)
+        return self._matrices[cautious]
 
     def _changed(self) -> None:
-        self._matrix = None
+        self.revision += 1
+        self._matrices.clear()
         self._trees.clear()

@@ -1,4 +1,4 @@
-"""Travel times over the global graph, with the time that turns take."""
+"""Travel times over the global graph, with the time that turns take, and ways past what blocks a route."""
 
 from __future__ import annotations
 
@@ -7,29 +7,46 @@ from numpy.typing import NDArray
 
 from onboard.core.config import RobotSettings
 from onboard.planning.global_graph import GlobalGraph
-from onboard.planning.local_graph import FloatArray
+from onboard.planning.local_graph import FloatArray, LocalGraph
 
 FREE_TURN_RAD = 0.4
 """Turns up to this one are taken while moving."""
+TRIED_BEHIND = 4
+"""Nodes behind a blocked leg to which a local way is looked for."""
 
 
-def times_over_graph(graph: GlobalGraph, sources: tuple[int, ...], settings: RobotSettings) -> FloatArray:
+def times_over_graph(
+    graph: GlobalGraph, sources: tuple[int, ...], settings: RobotSettings, cautious: bool = False
+) -> FloatArray:
     """Seconds (N,) from each node to the nearest of `sources`, inf where there is no way.
 
     The sum over the cheapest way of length / speed, and of what its turns exceed FREE_TURN_RAD / yaw rate.
     Lengths are true lengths on slopes, so that climbing counts as slower than the same way on the map; ways
-    that look blocked count as longer.
+    that look blocked count as longer, and if `cautious` those that the robot has only seen, see `edges`.
     """
-    costs, following, _ = graph.tree(sources)
+    costs, following, _ = graph.tree(sources, cautious)
     after = np.where(following >= 0, following, np.arange(len(costs)))
     points = np.where(np.isfinite(graph.points), graph.points, 0.0)
     lengths = np.linalg.norm(points[after] - points, axis=1)
+    if cautious:
+        reached = np.flatnonzero(np.isfinite(costs))
+        lengths[reached] = costs[reached] - costs[after[reached]]
     for first, second in graph.edges.blocked():
         node = first if after[first] == second else second
         if after[node] in (first, second) and after[node] != node:
             lengths[node] = graph.edges.ways[first, second].travel_m
     leg_s = lengths / settings.speed_m_s + _turns(points, after) / settings.yaw_rate_rad_s
     return np.where(np.isfinite(costs), _summed(leg_s, after), np.inf)
+
+
+def past_what_blocks(graph: GlobalGraph, local: LocalGraph, nodes: list[int]) -> FloatArray | None:
+    """(M, 3) way on from what blocks a route of nodes, where the local graph reaches a place behind it."""
+    legs = [leg for leg in range(len(nodes) - 1) if graph.looks_blocked(nodes[leg : leg + 2])]
+    for behind in range(legs[-1] + 1, min(legs[-1] + 1 + TRIED_BEHIND, len(nodes))):
+        near = local.reach(graph.points[nodes[behind]], 0.5)
+        if near is not None:
+            return np.concatenate([near, graph.points[nodes[behind + 1 :]]])
+    return None
 
 
 def _turns(points: FloatArray, after: NDArray[np.int64]) -> FloatArray:

@@ -8,22 +8,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.config import MapSettings, RobotSettings
-from onboard.mapping.voxel_map import FREE, VoxelMap
+from onboard.mapping.voxel_map import FREE, OCCUPIED, UNKNOWN, VoxelMap
 from onboard.planning.air_space import Area
-from onboard.planning.body import Body
+from onboard.planning.body import Body, Statuses
 from onboard.planning.budget import Budget
 from onboard.planning.global_graph import LINK_M, GlobalGraph
-from onboard.planning.homing import times_over_graph
+from onboard.planning.homing import past_what_blocks, times_over_graph
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
 from onboard.planning.plan import NOTHING, Plan
 from onboard.planning.selection import travel_time
 from onboard.planning.worth import SEEN_M
 
 RETURN_RADIUS_M = 3.0
+ROOM_M = 0.25
+"""Room to every side of a body by which a way is not narrow."""
 BLOCK_VOXELS = 8
 APPROACH_M = 1.0
-JOINED = 8
-TRIED_BEHIND = 4
+JOINED = 12
+
+
+Way = tuple[bool, bool, bool, FloatArray]
+"""A way (M, 3) after what speaks against it: blocked, too long for the time left, with gaps only seen."""
 
 
 class Navigator:
@@ -47,6 +52,7 @@ class Navigator:
         """Whether the last route leads over ways that the map now shows as blocked, or does not exist."""
         self._rng = np.random.default_rng([seed, settings.id])
         self._verified = 0
+        self._returns: tuple[tuple[object, ...], FloatArray] | None = None
         self._heading_from: FloatArray | None = None
 
     def begin(self, point: FloatArray, heading_rad: float) -> None:
@@ -74,41 +80,33 @@ class Navigator:
         assert self.graph is not None
         changed = self.map.changed_since(self._verified).tolist()
         self._verified = self.map.version
-        return self.graph.verify(changed, lambda starts, ends: self.body.blocked(self.map, starts, ends))
+        body, voxel_map = self.body, self.map
+        return self.graph.verify(
+            changed,
+            lambda starts, ends: body.blocked(voxel_map, starts, ends),
+            lambda starts, ends: body.way_status(voxel_map, starts, ends, ROOM_M) != FREE,
+        )
 
-    def route_to(self, point: FloatArray, target: int) -> FloatArray | None:
+    def route_to(self, point: FloatArray, target: int, cautious: bool = False) -> FloatArray | None:
         """(M, 3) way from the robot over the global graph to a node, None where there is none.
 
         Blocked ways are avoided; where that is impossible, those that the robot once walked are taken.
+        `cautious`: gaps that it has only seen, too.
         """
         graph = self.graph
         assert graph is not None
         self.verify_ways()
-        nodes = graph.route(graph.here, target)
+        nodes = graph.route(graph.here, target, cautious)
         self.way_blocked = not nodes or graph.looks_blocked(nodes)
-        if self.way_blocked and nodes:
-            around = self._around(nodes)
+        if self.way_blocked and nodes and self.local is not None:
+            around = past_what_blocks(graph, self.local, nodes)
             if around is not None:
+                self.way_blocked = False
                 return self._start_at(point, around)
         return self._join(point, graph.points[nodes]) if nodes else None
 
-    def _around(self, nodes: list[int]) -> FloatArray | None:
-        """Way past what blocks a route, where the local graph reaches a place behind it; else None."""
-        graph = self.graph
-        assert graph is not None
-        if self.local is None:
-            return None
-        legs = [leg for leg in range(len(nodes) - 1) if graph.looks_blocked(nodes[leg : leg + 2])]
-        for behind in range(legs[-1] + 1, min(legs[-1] + 1 + TRIED_BEHIND, len(nodes))):
-            near = self.local.reach(graph.points[nodes[behind]], 0.5)
-            if near is not None:
-                self.way_blocked = False
-                return np.concatenate([near, graph.points[nodes[behind + 1 :]]])
-        return None
-
     def go_to(self, point: FloatArray, target: FloatArray, radius_m: float = 2.0) -> Plan:
-        """Plan to a reference point (3,): straight through the local graph when it reaches, else over the
-        global graph."""
+        """Plan to a reference point (3,): through the local graph when it reaches, else the global one."""
         assert self.graph is not None
         self.local = self.body.graph(self.map, point, self._rng, np.asarray(target)[None])
         self.observe(point)
@@ -125,42 +123,45 @@ class Navigator:
         return Plan(path, "route", time_s=travel_time(path, self.settings.speed_m_s))
 
     def _over_graph(self, point: FloatArray, target: FloatArray, radius_m: float) -> FloatArray | None:
-        """Way to the node within the radius from which the target is reached soonest.
-
-        Without any: to the node nearest to it, if that brings the robot nearer; there it holds and looks
-        again.
+        """Way to the node within the radius from which the target is reached soonest; through gaps that the
+        robot has only seen where all else is blocked or takes too long. Without any: to the node nearest to
+        it, if that brings the robot nearer; there it holds and looks again.
         """
         assert self.graph is not None
         self.verify_ways()
-        offsets = np.linalg.norm(self.graph.points - target, axis=1)
-        times = self.times_from_here(point)
-        arrival = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
-        if np.isfinite(arrival.min()):
-            return self.route_to(point, int(np.argmin(arrival)))
+        found = [way for cautious in (True, False) if (way := self._way(point, target, radius_m, cautious))]
+        if found:
+            self.way_blocked, _, _, path = min(found, key=lambda way: way[:3])
+            return path
+        times, offsets = self.times_from_here(point), np.linalg.norm(self.graph.points - target, axis=1)
         offsets[~np.isfinite(times)] = np.inf
-        node, path = int(np.argmin(offsets)), None
-        if offsets[node] < np.linalg.norm(target - point) - APPROACH_M:
-            path = self.route_to(point, node)
+        node = int(np.argmin(offsets))
+        nearer = offsets[node] < np.linalg.norm(target - point) - APPROACH_M
+        route = self.route_to(point, node) if nearer else None
         self.way_blocked = True
-        return path
+        return route
+
+    def _way(self, point: FloatArray, target: FloatArray, radius_m: float, cautious: bool) -> Way | None:
+        nodes, offsets_s = self._around_place(target, radius_m)
+        arrival = self.times_from_here(point, cautious)[nodes] + offsets_s
+        if not np.isfinite(arrival.min(initial=np.inf)):
+            return None
+        path = self.route_to(point, int(nodes[np.argmin(arrival)]), cautious)
+        late = self.budget.too_late(float(arrival.min()))
+        return None if path is None else (self.way_blocked, late, not cautious, path)
 
     def stop_short(self, plan: Plan, distance_m: float) -> Plan:
-        """The plan without its last metres and, where there is room, with a climb of a metre at its new
-        end."""
+        """The plan without its last metres and, where there is room, a climb to 1 m above its former end."""
         path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
-        above = path[-1] + np.array([0.0, 0.0, 1.0])
-        if self.visible(path[-1], above):
+        above = path[-1] + np.array([0.0, 0.0, np.clip(plan.path[-1, 2] + 1.0 - path[-1, 2], 0.0, 1.0)])
+        if above[2] > path[-1, 2] and self.visible(path[-1], above):
             path = np.concatenate([path, above[None]])
         return Plan(path, plan.kind, time_s=plan.time_s)
 
     def times_to(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> FloatArray:
-        """Seconds (N,) of travel to reference points (N, 3) over the global graph, inf where it does not
-        reach."""
-        assert self.graph is not None
+        """Seconds (N,) to reference points (N, 3) over the global graph, inf where it does not reach."""
         times = self.times_from_here(point)
-        offsets = np.linalg.norm(self.graph.points[None] - targets[:, None], axis=2)
-        near = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
-        return np.asarray(near.min(axis=1))
+        return np.array([self._arrival(times, target, radius_m) for target in targets])
 
     def time_through(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> float:
         """Seconds from the robot at a reference point (3,) through targets (K, 3), in this order."""
@@ -169,17 +170,42 @@ class Navigator:
         for start, end in pairwise(targets):
             node, _ = self.graph.nearest(start)
             times = times_over_graph(self.graph, (node,), self.settings)
-            offsets = np.linalg.norm(self.graph.points - end, axis=1)
-            near = np.where(offsets <= radius_m, times + offsets / self.settings.speed_m_s, np.inf)
-            total += float(near.min())
+            total += self._arrival(times, end, radius_m)
         return total
 
-    def times_from_here(self, point: FloatArray) -> FloatArray:
+    def _arrival(self, times: FloatArray, target: FloatArray, radius_m: float) -> float:
+        """Seconds to a place (3,) by way of nodes that take `times` (N,), inf without any around."""
+        nodes, offsets_s = self._around_place(target, radius_m)
+        return float(np.min(times[nodes] + offsets_s, initial=np.inf))
+
+    def _around_place(self, place: FloatArray, radius_m: float) -> tuple[NDArray[np.int64], FloatArray]:
+        """The nearest nodes (K,) within the radius of a place (3,), and the seconds (K,) from them to it.
+
+        Those are left out between which and the place something stands or nothing is known, as long as there
+        are others: next to home, behind a floor that was never seen, is another storey.
+        """
+        near, offsets_s, status = self._joining(place, radius_m)
+        for allowed in (status == FREE, status != OCCUPIED):
+            if allowed.any():
+                return near[allowed], offsets_s[allowed]
+        return near, offsets_s
+
+    def _joining(self, place: FloatArray, radius_m: float) -> tuple[NDArray[np.int64], FloatArray, Statuses]:
+        """The nearest nodes (K,) within the radius, seconds (K,) to the place (3,), status between (K,)."""
+        assert self.graph is not None
+        offsets = np.linalg.norm(self.graph.points - place, axis=1)
+        near = np.argsort(offsets, kind="stable")[:JOINED]
+        near = near[offsets[near] <= radius_m]
+        ends = np.repeat(place[None], len(near), axis=0)
+        status = self.body.way_status(self.map, self.graph.points[near], ends)
+        return near, offsets[near] / self.settings.speed_m_s, status
+
+    def times_from_here(self, point: FloatArray, cautious: bool = False) -> FloatArray:
         """Seconds (N,) from the robot at a reference point (3,) to the nodes of the global graph."""
         graph = self.graph
         assert graph is not None
         to_graph = float(np.linalg.norm(point - graph.points[graph.here]))
-        times = times_over_graph(graph, (graph.here,), self.settings)
+        times = times_over_graph(graph, (graph.here,), self.settings, cautious)
         return np.asarray(times + to_graph / self.settings.speed_m_s)
 
     def times_between(self, nodes: NDArray[np.int64]) -> FloatArray:
@@ -193,33 +219,41 @@ class Navigator:
         assert graph is not None
         if target is None:
             return np.zeros(len(graph.points))
-        offsets = np.linalg.norm(graph.points - target, axis=1)
-        homes = np.flatnonzero(offsets <= RETURN_RADIUS_M)
+        state = (self.map.version, graph.revision, target.tobytes())
+        if self._returns is None or self._returns[0] != state:
+            self._returns = state, self._times_back(graph, target)
+        return self._returns[1]
+
+    def back_times(self, point: FloatArray) -> FloatArray:
+        """Seconds (N,) home from the nodes of the global graph for a robot that sets out from `point` (3,):
+        on, or back by the way that it came."""
+        return np.minimum(self.return_times(), self.times_from_here(point) + self.return_time(point))
+
+    def _times_back(self, graph: GlobalGraph, target: FloatArray) -> FloatArray:
+        homes, offsets_s = self._around_place(target, RETURN_RADIUS_M)
         if len(homes) == 0:
             return np.full(len(graph.points), np.inf)
         sources = tuple(int(node) for node in homes)
-        last = graph.tree(sources)[2]
-        times = times_over_graph(graph, sources, self.settings)
-        return np.asarray(times + offsets[np.maximum(last, 0)] / self.settings.speed_m_s)
+        last_s = np.zeros(len(graph.points))
+        last_s[homes] = offsets_s
+        times = times_over_graph(graph, sources, self.settings, cautious=True)
+        return np.asarray(times + last_s[np.maximum(graph.tree(sources, cautious=True)[2], 0)])
 
     def return_time(self, start: FloatArray) -> float:
         """Seconds from a reference point (3,) to the place to be back at, over the global graph.
 
-        The point is joined to the nodes around it to which nothing known is in the way; inf without any.
+        The point is joined to nodes around it through what is free, else what is unknown; else inf.
         """
         if self.budget.back_to is None:
             return 0.0
         assert self.graph is not None
-        times = self.return_times()
-        offsets = np.linalg.norm(self.graph.points - start, axis=1)
-        near = np.argsort(offsets, kind="stable")[:JOINED]
-        near = near[offsets[near] <= LINK_M]
-        starts = np.repeat(start[None], len(near), axis=0)
-        free = near[~self.body.blocked(self.map, starts, self.graph.points[near])]
-        reached = times[free] + offsets[free] / self.settings.speed_m_s
-        here = self.graph.here
-        if offsets[here] <= LINK_M:  # the robot has just come from there
-            reached = np.append(reached, times[here] + offsets[here] / self.settings.speed_m_s)
+        times, here = self.return_times(), self.graph.here
+        near, offsets_s, status = self._joining(start, LINK_M)
+        sure = status == (FREE if (status == FREE).any() else UNKNOWN)
+        reached = (times[near] + offsets_s)[sure]
+        offset_m = float(np.linalg.norm(self.graph.points[here] - start))
+        if offset_m <= LINK_M:  # the robot has just come from there
+            reached = np.append(reached, times[here] + offset_m / self.settings.speed_m_s)
         return float(np.min(reached, initial=np.inf))
 
     def affordable(self, plan: Plan) -> bool:

@@ -127,7 +127,7 @@ class Prospects:
         best = np.array([cluster.best for cluster in clusters])
         nodes, volumes = self.frontiers.nodes[best], worths[best]
         robot, budget = self.robot, self.robot.budget
-        back_s = robot.return_times()[nodes]
+        back_s = robot.back_times(point)[nodes]
         latest_s = np.full(len(nodes), np.inf)
         if np.isfinite(budget.remaining_s):
             latest_s = budget.remaining_s - np.array([budget.needed(0.0, float(s)) for s in back_s])
@@ -157,7 +157,7 @@ class Prospects:
         places, nodes = self.frontiers.places, self.frontiers.nodes
         if len(nodes) == 0:
             return {}
-        times, back = self.robot.times_from_here(point)[nodes], self.robot.return_times()[nodes]
+        times, back = self.robot.times_from_here(point)[nodes], self.robot.back_times(point)[nodes]
         refused = ~self.refusals.allowed(now_s, places)
         disappointing = ~self.disappointments.allowed(places)
         worths = self.worths(now_s)

@@ -94,6 +94,7 @@ class Carrier:
                 self._rng,
                 settings.launch_s,
                 team.explorer.left_by_peers,
+                settings.rule == "paper",
             )
         ground = self._ground_gain(plan, settings.rule)
         status = team.link.peer_status(self._aboard[0].id)

@@ -12,6 +12,7 @@ from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.mission import Facts, Phase, next_phase
 from onboard.planning.air_space import Area
+from onboard.planning.cycle import TOO_LATE
 from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity
@@ -72,7 +73,7 @@ class RobotCore:
         self._return_checked_s = -np.inf
         self._must_return = False
         self._near_since_s = np.inf
-        self._way_blocked = False
+        self._way_told = (False, False)
         self._looked_s = -np.inf
         if settings.kind == "ground":
             self._stand_at(start)
@@ -181,7 +182,9 @@ class RobotCore:
             return {}
         if facts.must_return:
             return {"reason": "time to return"}
-        return {"reason": "nothing left to explore", "left_m3": self.explorer.left}
+        left = self.explorer.left
+        reason = "no time for what is left to explore" if TOO_LATE in left else "nothing left to explore"
+        return {"reason": reason, "left_m3": left}
 
     def _must_go(self, now_s: float, pose: Pose) -> bool:
         """Once a second: does the way back need all the time that is left?"""
@@ -252,17 +255,17 @@ class RobotCore:
         target = self.explorer.budget.back_to
         assert target is not None
         plan = self.explorer.go_to(pose.position, target)
-        self._report_way_back(pose)
+        self._report_way_back(pose, plan)
         if self.settings.kind == "ground" or len(plan.path) == 0:
             return plan
         return self.explorer.stop_short(plan, self.team.config.mission.regroup_radius_m * 0.7)
 
-    def _report_way_back(self, pose: Pose) -> None:
-        """Tell when the way back begins or ceases to look blocked: then the robot gets as near as it can,
-        holds there and looks again."""
-        if self.explorer.way_blocked != self._way_blocked:
-            self._way_blocked = self.explorer.way_blocked
-            self._log("way_back", blocked=self._way_blocked, position=vector(pose.position))
+    def _report_way_back(self, pose: Pose, plan: Plan) -> None:
+        """Tell when the way back begins or ceases to look blocked, or too long for the time that is left."""
+        blocked, late = self.explorer.way_blocked, self.explorer.budget.too_late(plan.time_s)
+        if (blocked, late) != self._way_told:
+            self._way_told = blocked, late
+            self._log("way_back", blocked=blocked, late=late, position=vector(pose.position))
 
     def _status(self, inputs: Inputs) -> Status:
         plan = self.motion.plan

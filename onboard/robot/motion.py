@@ -12,8 +12,9 @@ from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity, finished, follow, stopping_path
 from onboard.planning.local_graph import FloatArray, truncate
 from onboard.planning.plan import Plan, onward, remaining_path
+from onboard.planning.selection import travel_time
 from onboard.planning.startup import LOOK_AROUND
-from onboard.robot.monitor import Outlook, look_ahead
+from onboard.robot.monitor import Outlook, look_ahead, void_ahead
 from onboard.robot.progress import BackOff, Pacing, Retreats, Watchdog
 
 REVIEW_S = 0.5
@@ -25,6 +26,8 @@ TURNING_RAD_S = 0.3
 CREEPING_M_S = 0.15
 GROUND_LOOK_M = 3.0
 """A walking robot's map farther ahead is too rough to stop for."""
+SETTLING_S = 1.0
+"""The last second of a plan says nothing about the pace: the robot brakes there."""
 BLIND = "take-off"
 """Kind of plan that leads through space which another robot has seen."""
 
@@ -43,6 +46,8 @@ class Motion:
         self._accepted_blocked = False
         self._moving: FloatArray = np.zeros(3)
         self._last: tuple[float, FloatArray] = (-np.inf, np.zeros(3))
+        self._left_s = np.inf
+        self._left_at_s = -np.inf
         self._watchdog = Watchdog()
         self._pacing = Pacing()
         self._back_off = BackOff()
@@ -54,11 +59,14 @@ class Motion:
         self._planned_s = now_s
         self._reviewed_s = now_s
         self._accepted_blocked = self._anew = False
+        self._left_s = np.inf
         if self.plan is None:
             self._watchdog.idle()
         elif self._settings.kind == "ground":
             # the planner took it knowing the map (a trail that was walked): feel the way, do not wait
-            self._accepted_blocked = self._explorer.path_blocked(self.plan.path, GROUND_LOOK_M)
+            explorer, near = self._explorer, truncate(self.plan.path, GROUND_LOOK_M)
+            blocked = explorer.path_blocked(near, GROUND_LOOK_M)
+            self._accepted_blocked = blocked or void_ahead(self._settings, explorer.map, near)
 
     def due(self, now_s: float, pose: Pose) -> bool:
         """Whether it is time to plan."""
@@ -119,6 +127,7 @@ class Motion:
     def _follow(self, now_s: float, pose: Pose, plan: Plan, moving: FloatArray) -> Velocity:
         """Along the plan, no faster than the collision monitor allows."""
         plan = self.plan = replace(plan, path=onward(pose.position, plan.path))
+        self._learn_pace(now_s, pose, plan)
         outlook = self._outlook(pose, plan)
         if outlook is not None and outlook.stop:
             self.drop(now_s)
@@ -131,6 +140,13 @@ class Motion:
             self._leave(now_s, pose)
             return HALT
         return command
+
+    def _learn_pace(self, now_s: float, pose: Pose, plan: Plan) -> None:
+        """Compare the time that has passed on this plan with the time that the plan gave for it."""
+        left_s = travel_time(remaining_path(pose.position, plan.path), self._settings.speed_m_s)
+        if SETTLING_S < self._left_s < np.inf:
+            self._explorer.budget.pace.observe(now_s - self._left_at_s, self._left_s - left_s)
+        self._left_s, self._left_at_s = left_s, now_s
 
     def _look_around(self, now_s: float) -> Velocity:
         """Once around on the spot, then plan anew."""

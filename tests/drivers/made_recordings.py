@@ -13,6 +13,7 @@ RADIUS_M = 5.0
 MODE_STRONGEST, VLP_16_BYTE = 0x37, 0x22
 FIRING_US = 1327
 PACKETS_PER_TURN = 75
+HOST_NS = 5 * 10**9
 
 
 def velodyne_packet(number: int, range_m: float = RADIUS_M) -> bytes:
@@ -58,14 +59,14 @@ def write_ouster(path: Path, frames: int = 2, columns: int = 512) -> Path:
     frame = core.LidarFrame(info)
     frame.field("RANGE")[:] = round(RADIUS_M * 1000)
     frame.status[:] = 1
-    frame.timestamp[:] = (np.arange(512) * 195_312 + 10**9).astype(np.uint64)
     frame.measurement_id[:] = range(512)
     packets = []
     for number in range(frames):
         frame.frame_id = number + 1
+        frame.timestamp[:] = (np.arange(512) * 195_312 + 10**9 + number * 10**8).astype(np.uint64)
         sent = core.frame_to_packets(frame, core.PacketFormat(info), info.init_id, info.sn)
         for index, packet in enumerate(sent[: columns // 16]):
-            packet.host_timestamp = 10**9 * (number + 1) + index * 3_000_000
+            packet.host_timestamp = HOST_NS + number * 10**8 + (index + 1) * 16 * 195_312
             packets.append(packet)
     pcap.record(packets, str(path))
     return path

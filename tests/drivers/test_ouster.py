@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from made_recordings import RADIUS_M, ouster_info, write_ouster, write_pcap
 
-from drivers.ouster import find_metadata
+from drivers.ouster_metadata import find_metadata
 from drivers.recordings import open_recording
 from onboard.core.errors import InputError
 
@@ -26,7 +26,8 @@ def test_frames_come_back_at_their_range_about_the_optical_centre(tmp_path: Path
 def test_offsets_follow_the_columns(tmp_path: Path) -> None:
     scan = next(open_recording(write_ouster(tmp_path / "hall.pcap")).scans)
     assert scan.offsets_s is not None
-    assert scan.stamp_s == pytest.approx(1.0 + 511 * 195_312e-9 / 2, abs=1e-4)
+    assert scan.device_stamp_s == pytest.approx(1.0 + 511 * 195_312e-9 / 2, abs=1e-6)
+    assert scan.stamp_s == pytest.approx(5.0 + 511 * 195_312e-9 / 2, abs=1e-3)
     assert np.ptp(scan.offsets_s) == pytest.approx(511 * 195_312e-9, abs=1e-5)
 
 
@@ -66,7 +67,7 @@ def test_missing_or_ambiguous_metadata_is_named(tmp_path: Path) -> None:
 def test_broken_metadata_and_foreign_packets_are_one_clear_line(tmp_path: Path) -> None:
     capture = write_ouster(tmp_path / "hall.pcap")
     capture.with_suffix(".json").write_text("{}")
-    with pytest.raises(InputError, match="not a readable Ouster recording") as caught:
+    with pytest.raises(InputError, match="not the metadata of an Ouster") as caught:
         open_recording(capture)
     assert "\n" not in str(caught.value)
     foreign = write_pcap(tmp_path / "voice.pcap", [b"hello" * 50] * 20)
@@ -101,4 +102,7 @@ def test_a_capture_and_its_osf_agree(lidar_data: Path) -> None:
     assert len(capture) == len(osf) == 3
     for a, b in zip(capture, osf, strict=True):
         np.testing.assert_array_equal(a.points, b.points)
-        assert a.stamp_s == b.stamp_s
+        assert a.image is not None
+        assert b.image is not None
+        np.testing.assert_array_equal(a.image.ranges, b.image.ranges)
+        assert a.device_stamp_s == b.device_stamp_s

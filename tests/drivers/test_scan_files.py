@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from drivers.cloud_formats import lzf_decompress, read_points
 from drivers.recordings import open_recording
 from drivers.scan_files import scan_files
-from drivers.types import PointScan, Sweep, whole_scans
+from drivers.types import LidarScan, whole_scans
 from onboard.core.errors import InputError
 
 CLOUD = np.random.default_rng(3).normal(size=(150, 3)).astype(np.float32)
@@ -167,9 +167,9 @@ def test_what_cannot_be_opened_is_one_clear_line(tmp_path: Path, velodyne_pcap: 
     ("coverages", "kept"), [([0.1, 1.0, 0.9, 0.2], [1, 2]), ([0.1, 0.2, 0.15], [1]), ([], [])]
 )
 def test_slivers_are_dropped_unless_they_are_all_there_is(coverages: list[float], kept: list[int]) -> None:
-    sweeps = [Sweep(PointScan(float(i), CLOUD), coverage) for i, coverage in enumerate(coverages)]
+    sweeps = [LidarScan(float(i), CLOUD, completeness=coverage) for i, coverage in enumerate(coverages)]
     assert [scan.stamp_s for scan in whole_scans(sweeps)] == kept
-    assert not list(whole_scans([Sweep(PointScan(0.0, CLOUD[:9]), 1.0)]))
+    assert not list(whole_scans([LidarScan(0.0, CLOUD[:9])]))
 
 
 def test_real_files_open(lidar_data: Path) -> None:

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from made_recordings import PACKETS_PER_TURN, RADIUS_M, velodyne_packet, write_pcap
 
-from drivers import velodyne
+from drivers.rawlog import rawlog_packets
 from drivers.recordings import open_recording
+from drivers.velodyne_packets import is_data_packet
 from onboard.core.errors import InputError
 
 
@@ -53,16 +54,16 @@ def test_a_rawlog_clock_runs_on_over_the_hour(tmp_path: Path) -> None:
     wrapped = velodyne_packet(3)[:-6] + (327).to_bytes(4, "little") + b"\x37\x22"
     path = tmp_path / "hour.rawlog"
     path.write_bytes(gzip.compress(b"".join([*late, wrapped])))
-    stamps = [stamp_s for stamp_s, _ in velodyne.rawlog_packets(path)]
+    stamps = [packet.stamp_s for packet in rawlog_packets(path)]
     assert all(0 < b - a < 0.002 for a, b in pairwise(stamps))
 
 
 def test_a_torn_rawlog_keeps_what_is_before_the_tear(rawlog: Path) -> None:
-    whole = len(list(velodyne.rawlog_packets(rawlog)))
+    whole = len(list(rawlog_packets(rawlog)))
     data = rawlog.read_bytes()
     rawlog.write_bytes(data[: 2 * len(data) // 3])
     assert whole == PACKETS_PER_TURN
-    assert 0 < len(list(velodyne.rawlog_packets(rawlog))) < whole
+    assert 0 < len(list(rawlog_packets(rawlog))) < whole
 
 
 @pytest.mark.parametrize("cut", [1, 7, 500, 1250])
@@ -78,10 +79,10 @@ def test_a_torn_capture_keeps_what_is_before_the_tear(velodyne_pcap: Path, cut: 
 )
 def test_damaged_packets_are_not_taken_for_data(position: int, value: int) -> None:
     packet = bytearray(velodyne_packet(0))
-    assert velodyne.is_data_packet(bytes(packet))
+    assert is_data_packet(bytes(packet))
     packet[position] = value
-    assert not velodyne.is_data_packet(bytes(packet))
-    assert not velodyne.is_data_packet(velodyne_packet(0)[:-1])
+    assert not is_data_packet(bytes(packet))
+    assert not is_data_packet(velodyne_packet(0)[:-1])
 
 
 def test_no_return_gives_no_point(tmp_path: Path) -> None:
@@ -103,14 +104,15 @@ def test_files_that_are_no_rawlog_or_hold_no_packet_are_refused(tmp_path: Path) 
 @pytest.mark.parametrize(
     ("name", "sensor", "scans"),
     [
-        ("sample_velodyne_vlp16_gps.pcap", "Velodyne VLP-16", 4),
-        ("sample_velodyne_hdl32.pcap", "Velodyne HDL-32E", 3),
-        ("test_velodyne_VLP16.rawlog", "Velodyne VLP-16", 1),
+        ("mrpt_velodyne/sample_velodyne_vlp16_gps.pcap", "Velodyne VLP-16", 4),
+        ("mrpt_velodyne/sample_velodyne_hdl32.pcap", "Velodyne HDL-32E", 3),
+        ("mrpt_velodyne/test_velodyne_VLP16.rawlog", "Velodyne VLP-16", 1),
+        ("nebula_velodyne_vlp32/1713492677464078412", "Velodyne VLP-32C", 5),
     ],
 )
 def test_real_recordings_hold_the_scans_their_makers_count(
     lidar_data: Path, name: str, sensor: str, scans: int
 ) -> None:
-    recording = open_recording(lidar_data / "mrpt_velodyne" / name)
+    recording = open_recording(lidar_data / name)
     assert recording.sensor_name == sensor
     assert len(list(recording.scans)) == scans

@@ -22,6 +22,14 @@ def hollow(*rooms: tuple[Corner, Corner]) -> VoxelMap:
     return voxel_map
 
 
+def unsurfaced(*rooms: tuple[Corner, Corner]) -> VoxelMap:
+    """Free boxes and nothing known around them."""
+    voxel_map = VoxelMap(0.2)
+    for lower, upper in rooms:
+        voxel_map.assume_free(lower, upper)
+    return voxel_map
+
+
 def wall(voxel_map: VoxelMap, lower: Corner, upper: Corner) -> VoxelMap:
     """Fill a box with occupied voxels."""
     voxel_map.assume_occupied(_grid(np.array(lower), np.array(upper)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+import re
 from pathlib import Path
 from typing import Any
 
@@ -236,3 +237,35 @@ def test_keyframes_are_coded_by_the_codec_itself_unless_told_otherwise():
 def test_wrong_keyframe_settings_are_refused(settings, why):
     with pytest.raises(ConfigError, match=why):
         with_keyframes(**settings)
+
+
+def with_lidar(**settings: Any) -> dict[str, Any]:
+    data = team()
+    data["robots"][0]["lidar"].update(settings)
+    return data
+
+
+def test_a_real_lidar_has_a_link_and_masks() -> None:
+    mask = [[-0.3, -0.9], [0.3, -0.9], [0.0, -0.5]]
+    link = {"ports": [7502, 7503], "sensor_host": "192.168.1.2", "metadata": "/etc/marsupial/os0.json"}
+    lidar = parse_config(with_lidar(link=link, masks=[mask]), "robot.toml").robots[0].lidar
+    assert lidar.link is not None
+    assert (lidar.link.ports, lidar.link.address) == ((7502, 7503), "0.0.0.0")
+    assert lidar.link.metadata == Path("/etc/marsupial/os0.json")
+    assert lidar.masks == (((-0.3, -0.9), (0.3, -0.9), (0.0, -0.5)),)
+
+
+@pytest.mark.parametrize(
+    ("settings", "key"),
+    [
+        ({"link": {"ports": []}}, "link.ports"),
+        ({"link": {"ports": [0]}}, "link.ports.0"),
+        ({"link": {"ports": [70_000]}}, "link.ports.0"),
+        ({"link": {"ports": [2368], "buffer_bytes": 1}}, "link.buffer_bytes"),
+        ({"masks": [[[0.0, 0.0], [1.0, 0.0]]]}, "masks.0"),
+        ({"masks": [[[0.0, 0.0], [1.0, 0.0], [0.0, 90.0]]]}, "masks.0.2.1"),
+    ],
+)
+def test_wrong_links_and_masks_are_refused(settings: dict[str, Any], key: str) -> None:
+    with pytest.raises(ConfigError, match=rf"robots\.0\.lidar\.{re.escape(key)} ="):
+        parse_config(with_lidar(**settings), "robot.toml")

@@ -51,7 +51,7 @@ def test_known_half_space_leaves_half():
     voxel_map = VoxelMap()
     voxel_map.assume_free([-12.0, -12.0, -12.0], [0.0, 12.0, 12.0])
     gain = full_view().evaluate(voxel_map, [[0.01, 0.1, 0.1]])[0]
-    assert gain == pytest.approx(SOLID_ANGLE * 8.0**3 / 6, rel=0.02)
+    assert gain == pytest.approx(SOLID_ANGLE * 8.0**3 / 6, rel=0.01)
 
 
 def test_nothing_is_seen_behind_walls():

@@ -8,13 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.core.config import MapSettings
-from onboard.planning.budget import DOCKING_S, Budget
-from onboard.planning.edges import SLOW
+from onboard.planning.budget import DOCKING_S, SLOWEST, Budget, Pace
+from onboard.planning.edges import SLOW, UNTRIED
 from onboard.planning.explorer import Explorer
 from onboard.planning.global_graph import GlobalGraph
 from onboard.planning.homing import FREE_TURN_RAD, times_over_graph
 from onboard.planning.plan import Plan
-from tests.onboard.air_scenes import Corner, hollow, wall
+from tests.onboard.air_scenes import Corner, hollow, unsurfaced, wall
 from tests.onboard.test_planning_deployment import FLYER
 
 seconds = st.floats(0, 1e4)
@@ -68,6 +68,60 @@ def test_times_are_those_of_the_ways_and_of_what_their_turns_exceed(corners):
         clear = np.minimum(lengths[1:], lengths[:-1]) >= 0.1
         extra = (np.maximum(turns - FREE_TURN_RAD, 0) * clear).sum()
         assert times[node] == pytest.approx(lengths.sum() / 1.0 + extra / FLYER.yaw_rate_rad_s, abs=1e-6)
+
+
+def test_a_way_back_that_was_never_gone_counts_as_longer_and_a_gap_not_at_all():
+    points = np.array([(0.0, 0.0, 1.0), (3.0, 0.0, 1.0), (6.0, 0.0, 1.0), (9.0, 0.0, 1.0)])
+    graph = GlobalGraph(points[0])
+    graph.visit(points[1], lambda start, end: True)
+    for before, point in enumerate(points[2:], start=1):
+        graph.connect(before, graph._add(point))
+    graph.verify([], lambda a, b: np.zeros(len(a), bool), lambda a, b: b[:, 0] > 8)
+    expected = [0, 3, 3 + 3 * UNTRIED, np.inf]
+    assert times_over_graph(graph, (0,), FLYER, cautious=True) == pytest.approx(expected)
+    assert times_over_graph(graph, (0,), FLYER) == pytest.approx([0, 3, 6, 9])
+
+
+def test_the_way_home_is_counted_by_the_trail_where_only_a_gap_is_shorter():
+    slit = ((10.8, 1.8, 1.2), (11.6, 8.2, 1.8))  # which just lets the body through
+    robot = flown((19.0, 1.0), (19.0, 9.0), (11.2, 9.0), rooms=(*RING, slit))
+    here = robot.graph.points[robot.graph.here].copy()
+    around_s = robot.return_time(here)
+    shaft = np.array([here, (here[0], 1.4, 1.5)])
+    robot.graph.join(shaft, robot.graph.nearest(np.array([here[0], 1.0, 1.5]))[0], lambda a, b: True)
+    robot.verify_ways()
+    assert robot.return_time(here) == pytest.approx(around_s, abs=0.5)
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    robot.budget.remaining_s = around_s - 5.0  # too late for the way around: what is left is the slit
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() < 12.0
+    robot.budget.remaining_s = 5.0  # too late for everything: no going to and fro between the two
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    wall(robot.map, (10.8, 4.0, 1.2), (11.6, 4.4, 1.8))
+    robot.budget.remaining_s = around_s - 5.0  # the slit is closed: late is better than never
+    assert robot._over_graph(here, HOME, 2.0)[:, 0].max() > 17.0
+    assert not robot.way_blocked
+
+
+@given(st.lists(st.tuples(st.floats(0.05, 2.0), st.floats(-1.0, 3.0)), max_size=300))
+def test_the_pace_is_a_factor_between_one_and_its_limit(steps):
+    pace = Pace()
+    for actual_s, nominal_s in steps:
+        pace.observe(actual_s, nominal_s)
+        assert 1.0 <= pace.ratio <= SLOWEST
+
+
+def test_the_pace_follows_what_the_robot_does_and_the_budget_follows_the_pace():
+    budget = Budget.of(FLYER, 1000.0)
+    before, longest = budget.needed(20.0, 50.0), budget.longest_way_s
+    for _ in range(3000):
+        budget.pace.observe(0.1, 0.08)
+    assert budget.pace.ratio == pytest.approx(1.25, abs=0.07)
+    margins = FLYER.planner.home_margin_s + DOCKING_S["aerial"]
+    assert budget.needed(20.0, 50.0) - margins == pytest.approx((before - margins) * budget.pace.ratio)
+    assert budget.longest_way_s == pytest.approx(longest / budget.pace.ratio)
+    for _ in range(3000):
+        budget.pace.observe(0.1, 0.1)
+    assert budget.pace.ratio == pytest.approx(1.0, abs=0.01)
 
 
 def flown(
@@ -144,12 +198,61 @@ def test_a_way_that_only_the_map_knew_is_no_way_when_it_is_blocked():
     assert np.isinf(robot.time_through(np.array([5.0, 1.0, 1.5]), np.stack([target, HOME])))
 
 
+HAIRPIN = (
+    ((0.0, 0.0, 0.0), (20.0, 2.0, 3.0)),
+    ((18.0, 0.0, 0.0), (20.0, 4.4, 3.0)),
+    ((0.0, 2.4, 0.0), (20.0, 4.4, 3.0)),
+)
+"""Two corridors with 0.4 m of rock between them, joined at their far end."""
+
+
+def test_a_place_next_to_home_behind_a_wall_is_as_far_as_the_way_around():
+    robot = flown((19.0, 1.0), (19.0, 3.4), (1.0, 3.4), rooms=HAIRPIN)
+    here = np.array([1.0, 3.4, 1.5])
+    assert np.linalg.norm(here - HOME) < 2.5
+    assert robot.return_time(here) > 36.0
+    assert robot.times_to(here, HOME[None], 2.5)[0] > 36.0
+    assert robot.time_through(here, np.stack([FAR * (1, 0, 1) + (0, 1, 0), HOME]), 2.5) > 36.0
+    plan = robot.go_to(here, HOME)
+    assert plan.path[:, 0].max() > 17.0
+    assert np.linalg.norm(plan.goal - HOME) < 2.0
+
+
+def test_a_place_above_home_is_far_when_nothing_is_known_between():
+    storeys = (
+        ((0.0, 0.0, 0.0), (20.0, 2.0, 3.0)),
+        ((18.0, 0.0, 0.0), (20.0, 2.0, 6.4)),
+        ((0.0, 0.0, 3.4), (20.0, 2.0, 6.4)),
+    )
+    robot = flown((19.0, 1.0), rooms=storeys)
+    robot.map = unsurfaced(*storeys)
+    for step in (
+        *((19.0, z) for z in np.arange(1.5, 4.1, 0.3)),
+        *((x, 4.0) for x in np.arange(19.0, 1.0, -0.3)),
+    ):
+        robot.observe(np.array([step[0], 1.0, step[1]]))
+    here = np.array([1.0, 1.0, 4.0])
+    assert np.linalg.norm(here - HOME) < 2.6
+    assert robot.return_time(here) > 36.0
+
+
 def test_the_way_back_is_not_counted_through_walls():
     robot = flown((19.0, 1.0))
     behind = np.array([10.0, 9.0, 1.5])  # 8 m from the trail, in the other corridor
     assert np.isinf(robot.return_time(behind))
     wall(robot.map, (0.0, 2.0, 0.0), (20.0, 2.4, 3.0))
     assert np.isinf(robot.return_time(np.array([10.0, 3.2, 1.5])))
+
+
+def test_a_flying_robot_that_plans_its_last_metres_again_and_again_does_not_climb_on():
+    robot = flown((8.0, 1.0), rooms=(((0.0, 0.0, 0.0), (20.0, 2.0, 6.0)),))
+    here, heights = np.array([4.0, 1.0, 1.0]), []
+    for _ in range(5):
+        plan = robot.stop_short(robot.go_to(here, HOME), 2.0)
+        here = plan.goal
+        heights.append(here[2])
+    assert heights[-1] == pytest.approx(HOME[2] + 1.0, abs=0.3)
+    assert max(heights) < HOME[2] + 1.3
 
 
 def test_visiting_two_places_takes_the_ways_between_them():

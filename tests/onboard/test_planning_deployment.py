@@ -162,7 +162,8 @@ def corridor() -> AerialOutlook | None:
     ):
         wall(voxel_map, lower, upper)
     rng = np.random.default_rng(0)
-    return aerial_outlook(voxel_map, Body(FLYER, 0.2), np.array([1.2, 1.2, 1.4]), rng, 30.0)
+    take_off = np.array([1.2, 1.2, 1.4])
+    return aerial_outlook(voxel_map, Body(FLYER, 0.2), take_off, rng, 30.0, count_rays=True)
 
 
 @pytest.mark.parametrize(
@@ -223,7 +224,8 @@ ROOM = ((0, 0, 0), (8, 8, 3))
 
 def look(*rooms: tuple, take_off: tuple[float, float, float] = (4.1, 4.1, 1.5)) -> AerialOutlook | None:
     rng = np.random.default_rng(0)
-    return aerial_outlook(hollow(*rooms), Body(FLYER, 0.2), np.array(take_off), rng, 30.0)
+    place = np.array(take_off)
+    return aerial_outlook(hollow(*rooms), Body(FLYER, 0.2), place, rng, 30.0, count_rays=True)
 
 
 def unroofed(left: Callable[[np.ndarray], np.ndarray] | None = None) -> AerialOutlook | None:
@@ -231,7 +233,7 @@ def unroofed(left: Callable[[np.ndarray], np.ndarray] | None = None) -> AerialOu
     voxel_map = VoxelMap(0.2)
     voxel_map.assume_free((0, 0, 0), (8, 8, 3))
     return aerial_outlook(
-        voxel_map, Body(FLYER, 0.2), np.array([4.1, 4.1, 1.5]), np.random.default_rng(0), 30.0, left
+        voxel_map, Body(FLYER, 0.2), np.array([4.1, 4.1, 1.5]), np.random.default_rng(0), 30.0, left, True
     )
 
 
@@ -244,6 +246,17 @@ def test_a_closed_room_offers_nothing_and_an_unseen_surrounding_much():
     assert not decide(0.0, closed).fire
     assert decide(0.0, opened).fire
     assert opened.ray_count > closed.ray_count
+
+
+def test_rays_are_counted_only_for_the_rule_that_asks():
+    body, place, voxel_map = Body(FLYER, 0.2), np.array([4.1, 4.1, 1.5]), VoxelMap(0.2)
+    voxel_map.assume_free((0, 0, 0), (8, 8, 3))
+    uncounted = aerial_outlook(voxel_map, body, place, np.random.default_rng(0), 30.0)
+    counted = unroofed()
+    assert uncounted is not None
+    assert counted is not None
+    assert uncounted.ray_count == 0 < counted.ray_count
+    assert uncounted.rate_m3_s == counted.rate_m3_s
 
 
 def test_blocked_on_the_ground_with_much_above_fires_after_the_debounce():

@@ -100,7 +100,7 @@ def one_scan(point: np.ndarray, elevations: np.ndarray, range_m: float) -> np.nd
     return (rays * lengths[:, None]).astype(np.float32)
 
 
-@pytest.mark.parametrize(("settings", "height"), [(AERIAL, 0.3), (AERIAL, 1.5)])
+@pytest.mark.parametrize(("settings", "height"), [(AERIAL, 0.3), (AERIAL, 1.5), (GROUND, 0.0)])
 def test_one_scan_of_a_lidar_that_sees_no_floor_is_enough_for_a_path_within_two_seconds(settings, height):
     """16 beams within 15 degrees: unknown above and below the body, and the floor within metres."""
     explorer = Explorer(settings, MapSettings(), 1)

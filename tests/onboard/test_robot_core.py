@@ -9,8 +9,9 @@ from onboard.core.config import Config
 from onboard.core.geometry import Pose
 from onboard.mapping.voxel_map import OWN, PEER
 from onboard.mission import Phase
+from onboard.planning.plan import Plan
 from onboard.robot.core import RobotCore
-from onboard.robot.interface import Inputs
+from onboard.robot.interface import Inputs, Log
 from simulation.mission import TICK_S, Mission
 from tests.simulation.small_mission import EAGER, Event, played, room, team
 
@@ -183,11 +184,26 @@ def test_every_planning_cycle_leaves_a_record_of_what_it_weighed(alone):
     assert all(fields["reason"] for fields in cycles)
 
 
-def fresh(name: str) -> tuple[RobotCore, Pose]:
+def unheard(kind: str, **fields: object) -> None:
+    """A log of nothing."""
+
+
+def fresh(name: str, log: Log = unheard) -> tuple[RobotCore, Pose]:
     """A core that has not made a step yet."""
     config = both_robots()
     start = Pose.from_rpy(np.array([0.0, 0.0, 0.0 if name == "ground" else 0.95]))
-    return RobotCore(config, config.robot(name), 1, start, lambda kind, **fields: None, lambda: 0.0), start
+    return RobotCore(config, config.robot(name), 1, start, log, lambda: 0.0), start
+
+
+def test_a_robot_that_will_be_late_says_so_once_and_takes_it_back():
+    told: list[tuple[bool, bool]] = []
+    core, start = fresh("ground", lambda kind, **fields: told.append((fields["blocked"], fields["late"])))
+    core.explorer.budget.remaining_s = 30.0
+    for way_s in (20.0, 31.0, 32.0, 29.0, 10.0):
+        core._report_way_back(start, Plan(np.zeros((2, 3)), "route", time_s=way_s))
+    core.explorer.way_blocked = True
+    core._report_way_back(start, Plan(np.zeros((2, 3)), "route", time_s=40.0))
+    assert told == [(False, True), (False, False), (True, True)]
 
 
 def test_a_carried_robot_keeps_still_and_maps_nothing():

@@ -15,13 +15,13 @@ from onboard.mapping.voxel_map import FREE
 from onboard.planning.explorer import Explorer
 from onboard.planning.plan import Plan
 from onboard.planning.rolling import SWITCHES, Commitment
-from onboard.robot.monitor import REACTION_S, braking_distance, look_ahead, stoppable_speed
+from onboard.robot.monitor import REACTION_S, braking_distance, holes, look_ahead, stoppable_speed
 from onboard.robot.motion import Motion
 from onboard.robot.progress import Pacing
 from simulation.bodies import approached
 
 CONFIG = load_config(Path(__file__).parents[2] / "config" / "sim" / "team.toml")
-AERIAL = CONFIG.robot("aerial")
+AERIAL, GROUND = CONFIG.robot("aerial"), CONFIG.robot("ground")
 HALF = np.array(AERIAL.size_m) / 2
 TICK_S = 0.1
 START = np.array([1.0, 2.1, 1.5])
@@ -105,6 +105,39 @@ def test_a_body_inside_something_known_may_creep_out():
     assert 0 < outlook.speed_m_s < 0.3
     assert not outlook.blocked
     assert look_ahead(AERIAL, explorer.body, explorer.map, way[:1]).speed_m_s == AERIAL.speed_m_s
+
+
+def floor_with_pit(pit: bool) -> Explorer:
+    """A floor at z = 0, seen free above; the pit from x = 5 to 7 is seen to be 1.2 m deep."""
+    explorer = Explorer(GROUND, MapSettings(), 1)
+    explorer.map.assume_free((-1.0, 0.0, 0.0), (12.0, 4.2, 2.0))
+    x, y = (grid.ravel() for grid in np.meshgrid(np.arange(-0.9, 12.0, 0.2), np.arange(0.1, 4.2, 0.2)))
+    over = (x > 5.0) & (x < 7.0)
+    heights = np.where(over & pit, -1.3, -0.1)
+    if pit:
+        explorer.map.assume_free((5.0, 0.0, -1.2), (7.0, 4.2, 0.0))
+    explorer.map.assume_occupied(np.column_stack([x, y, heights]))
+    return explorer
+
+
+def test_a_walking_robot_stops_before_a_void_that_no_plan_knew_of():
+    way = np.array([(1.0, 2.1, 0.0), (10.0, 2.1, 0.0)])
+    sound, broken = floor_with_pit(False), floor_with_pit(True)
+    assert look_ahead(GROUND, sound.body, sound.map, way).speed_m_s == GROUND.speed_m_s
+    outlook = look_ahead(GROUND, broken.body, broken.map, way)
+    assert outlook.blocked
+    assert 4.0 - GROUND.size_m[0] / 2 - 0.5 < outlook.occupied_m < 4.0 - GROUND.size_m[0] / 2 + 0.2
+    edge = np.array([(5.0 - GROUND.size_m[0] / 2 - 0.1, 2.1, 0.0), (10.0, 2.1, 0.0)])
+    assert look_ahead(GROUND, broken.body, broken.map, edge).stop
+
+
+def test_a_floor_whose_own_voxels_no_beam_hit_is_no_void():
+    explorer = floor_with_pit(False)
+    gap = Explorer(GROUND, MapSettings(), 1)
+    gap.map.assume_free((-1.0, 0.0, -0.2), (12.0, 4.2, 2.0))  # the floor's voxels as well, nothing below
+    for robot in (explorer, gap):
+        points = np.column_stack([np.arange(0.0, 11.0, 0.25), np.full(44, 2.1), np.zeros(44)])
+        assert not holes(GROUND, robot.map, points).any()
 
 
 def test_two_equal_rooms_are_not_paced_between():

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from benchmarks.exploration.planners.nearest import NearestFrontier
-from benchmarks.exploration.planners.parity import Parity, SparseParity
+from benchmarks.exploration.planners.parity import Parity, ParityHome, SparseParity
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory
 
 PLANNERS: dict[str, PlannerFactory] = {
     "ours": Explorer,
     "parity": Parity,
+    "parity-home": ParityHome,
     "parity-fast0": SparseParity,
     "nearest": NearestFrontier,
 }

@@ -7,7 +7,8 @@ Where the published code fails, the charitable choice is made, so that the compa
 ray directions have unit length (there they shrink the field of view), the direction penalty compares with
 the straight line (there with its end point), the graph starts from the nearest free place when the robot's
 own is not (there nothing is found), a blocked plan is dropped (there it is only logged), corners that can be
-skipped are (there the refinement may fail altogether), and the robot goes home by the product's budget.
+skipped are (there the refinement may fail altogether), and the way home is asked for with the path about to
+be taken (there without). `ParityHome` goes home by the product's time budget, to tell what that one is worth.
 Frontier paths are not clustered by similarity but kept apart by distance.
 """
 
@@ -33,6 +34,7 @@ from benchmarks.exploration.planners.sparse_map import SparseMap
 from onboard.core.config import MapSettings, RobotSettings
 from onboard.core.lidar import lidar_model
 from onboard.planning.air_space import AirSpace, Area
+from onboard.planning.budget import Budget, Pace
 from onboard.planning.cycle import Candidate
 from onboard.planning.local_graph import FloatArray, polyline_length, resample
 from onboard.planning.plan import NOTHING, Plan
@@ -69,6 +71,7 @@ class Published:
     frontier_unvisited_m: float = 3.0
     global_penalty: float = 0.01
     home_slack_s: float = 20.0
+    home_speed_share: float = 0.9
     warping_step_m: float = 0.2
 
 
@@ -96,10 +99,16 @@ class Parity(Baseline):
     ) -> None:
         super().__init__(settings, map_settings, seed, area_m)
         self.rules = Published()
+        self.budget = self.way_home()
         elevations = lidar_model(settings.lidar.model).elevations_rad
         self._rays = ray_fan(float(elevations.min()), float(elevations.max()), self.rules.ray_step_rad)
         self._samples = np.random.default_rng([seed, settings.id, 4])
         self._low_gain = 0
+
+    def way_home(self) -> Budget:
+        """The published rule: home when `length / (0.9 v) + 20 s` is left."""
+        ratio = 1 / self.rules.home_speed_share - 1
+        return Budget(margin_s=self.rules.home_slack_s, margin_ratio=ratio, pace=Unhurried())
 
     def decide(self, now_s: float, root: FloatArray) -> Plan:
         space = self.space_around(root)
@@ -232,6 +241,20 @@ class Parity(Baseline):
         """Seconds home from a remembered frontier, back along the way to it."""
         along_s = polyline_length(frontier.path) / self.settings.speed_m_s
         return along_s + self.return_time(frontier.path[0])
+
+
+class Unhurried(Pace):
+    """Learns nothing on the way."""
+
+    def observe(self, actual_s: float, nominal_s: float) -> None:
+        """Ways take what their lengths say."""
+
+
+class ParityHome(Parity):
+    """The same with the product's time budget."""
+
+    def way_home(self) -> Budget:
+        return Budget.of(self.settings)
 
 
 class SparseParity(Parity):
