@@ -71,8 +71,8 @@ class Agent:
         return self.pose.compose(lift), self.settings.size_m
 
     def scan(self, now_s: float, others: Sequence[Body]) -> tuple[Scan, Scan] | None:
-        """The measured and the perfect scan if one is due and the core maps."""
-        if now_s + 1e-9 < self._next_scan_s or not self.core.maps():
+        """The measured and the perfect scan if one is due and the core wants it."""
+        if now_s + 1e-9 < self._next_scan_s or not self.core.looks():
             return None
         self._next_scan_s = now_s + self._scan_period_s
         return self._lidar.scan(self.core.sensing.sensor_pose(self.pose), now_s, others)
@@ -94,11 +94,6 @@ class Agent:
     def finished(self) -> bool:
         """Whether this robot has nothing more to do."""
         return self.core.phase == Phase.DONE or self.carried
-
-
-def bracket_of(robot_id: int, robots: Sequence[RobotSettings]) -> int:
-    """Which of the carrier's places an aerial robot has."""
-    return [robot.id for robot in robots if robot.kind == "aerial"].index(robot_id)
 
 
 def launch_pose(start: Pose, config: Config, place: int = 0) -> Pose:

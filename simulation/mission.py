@@ -9,13 +9,13 @@ import numpy as np
 
 from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
-from onboard.localization.bracket import carried_pose
+from onboard.localization.bracket import bracket_of, carried_pose
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory
 from onboard.robot.sensing import CLEARING_M
 from simulation.aerial_robot import AerialRobot
-from simulation.agent import Agent, bracket_of, launch_pose
+from simulation.agent import Agent, launch_pose
 from simulation.bodies import ContactCounter
 from simulation.radio import Radio
 from simulation.scene import Scene

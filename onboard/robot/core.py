@@ -94,7 +94,8 @@ class RobotCore:
 
     def step(self, inputs: Inputs) -> Outputs:
         """One control cycle (10 Hz)."""
-        now_s, pose = inputs.now_s, inputs.pose
+        self.role.sensed(self.phase, inputs)
+        now_s, pose = inputs.now_s, self.role.pose(inputs)
         frames = self.link.step(now_s, inputs.frames)
         for source, message in self.link.take_messages():
             if isinstance(message, Bids):
@@ -110,12 +111,16 @@ class RobotCore:
         self._advance(now_s, pose)
         velocity = self._move(now_s, pose)
         self.role.tick(now_s, self.phase, pose)
-        self.link.set_status(self._status(inputs))
+        self.link.set_status(self._status(inputs, pose))
         return Outputs(velocity, self.role.release, frames)
 
     def maps(self) -> bool:
-        """A carried robot's LiDAR is mapped once its carrier has begun to hand over."""
-        return self.phase != Phase.CARRIED or len(self.link.store) > 0
+        """A carried robot maps once its carrier has begun to hand over and its own place is known."""
+        return self.phase != Phase.CARRIED or (len(self.link.store) > 0 and self.role.located)
+
+    def looks(self) -> bool:
+        """Whether scans are wanted."""
+        return self.maps() or self.role.searching
 
     def _integrate(self, scan: Scan, pose: Pose) -> None:
         self.profile.timed("map", self.sensing.integrate, scan, pose)
@@ -267,12 +272,12 @@ class RobotCore:
             self._way_told = blocked, late
             self._log("way_back", blocked=blocked, late=late, position=vector(pose.position))
 
-    def _status(self, inputs: Inputs) -> Status:
+    def _status(self, inputs: Inputs, pose: Pose) -> Status:
         plan = self.motion.plan
         return Status(
             stamp_s=inputs.now_s,
             phase=int(self.phase),
-            position_m=vector(inputs.pose.position),
+            position_m=vector(pose.position),
             battery_ratio=float(np.clip(inputs.charge, 0.0, 1.0)),
             goal_m=None if plan is None else vector(plan.goal),
             remaining_s=max(0.0, self.team.remaining(inputs.now_s)),

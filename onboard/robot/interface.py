@@ -16,13 +16,19 @@ Log = Callable[..., None]
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Sensor readings of one step. `pose`: reference point of the body (ground: on the floor), map frame."""
+    """Sensor readings of one step. `pose`: reference point of the body (ground: on the floor), map frame.
+
+    `odometry`: the same in the frame of the robot's own odometry, where that is another one. An aerial robot
+    that has to find itself in its carrier's map goes by it as soon as it has, and does not rely on `pose`
+    before.
+    """
 
     now_s: float
     pose: Pose
     charge: float
     scan: Scan | None = None
     frames: tuple[bytes, ...] = ()
+    odometry: Pose | None = None
 
 
 @dataclass(frozen=True, eq=False)
