@@ -39,8 +39,6 @@ def surroundings_from_bytes(data: bytes) -> Surroundings:
         raise WireError(f"surroundings of {len(data)} bytes")
     numbers = np.array(_POSE.unpack_from(data))
     position, quaternion = numbers[:3], numbers[3:]
-    if not np.isfinite(numbers).all() or abs(np.linalg.norm(quaternion) - 1) > 1e-6:
-        raise WireError("the sensor's pose in surroundings is none")
-    if np.abs(position).max() > _REACH_M:
-        raise WireError(f"the sensor's position in surroundings is {position.tolist()}")
+    if not (np.abs(numbers) <= _REACH_M).all() or abs(np.linalg.norm(quaternion) - 1) > 1e-6:
+        raise WireError(f"surroundings of a sensor at {position.tolist()}, turned by {quaternion.tolist()}")
     return Surroundings(Pose(position, quaternion), cloud_from_bytes(data[_POSE.size :]))

@@ -174,7 +174,7 @@ class Carrier:
         self.release = self._hand_over.release
         if self._offer is not None:
             self._offer.step(now_s)
-            if self.release or outcome != Outcome.UNDER_WAY:
+            if outcome != Outcome.UNDER_WAY:
                 self._offer.end()
         if outcome == Outcome.DONE:
             self._deployed += self._aboard[:1]
