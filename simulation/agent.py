@@ -50,7 +50,8 @@ class Agent:
             self.body = GroundRobot(settings, scene, start.position, start.yaw)
         else:
             self.body = AerialRobot(settings, scene, start)
-        self.localisation, frame = localised(poses, settings, self.body.pose, seed)
+        carried = settings.kind == "aerial" and any(robot.kind == "ground" for robot in config.robots)
+        self.localisation, frame = localised(poses, settings, self.body.pose, seed, carried=carried)
         self.core = RobotCore(config, settings, seed, self.body.pose, log, time.perf_counter, planner, frame)
         self.pose_error_m = self.worst_pose_error_m = 0.0
         """Distance between where the core believes the body to be and where it is: now, and at most."""
@@ -77,8 +78,8 @@ class Agent:
         return self.pose.compose(lift), self.settings.size_m
 
     def scan(self, now_s: float, others: Sequence[Body]) -> tuple[Scan, Scan] | None:
-        """The measured and the perfect scan if one is due and the core maps."""
-        if now_s + 1e-9 < self._next_scan_s or not self.core.maps():
+        """The measured and the perfect scan if one is due and the core wants it."""
+        if now_s + 1e-9 < self._next_scan_s or not self.core.looks():
             return None
         self._next_scan_s = now_s + self._scan_period_s
         return self._lidar.scan(self.core.sensing.sensor_pose(self.pose), now_s, others)
@@ -99,7 +100,7 @@ class Agent:
     @property
     def believed(self) -> Pose:
         """Where the core thinks that the body is."""
-        return self.core.mapper.frame.pose(self.localisation.told())
+        return self.core.team.frame.pose(self.localisation.told())
 
     def move(self, now_s: float, dt_s: float, outputs: Outputs) -> None:
         """Move the body as commanded, in directions as the core believes them to be."""
@@ -117,18 +118,19 @@ class Agent:
         return self.core.phase == Phase.DONE or self.carried
 
 
-def localised(poses: Poses, settings: RobotSettings, start: Pose, seed: int) -> tuple[Localisation, MapFrame]:
-    """The localisation of a robot at `start` in the map's frame, and what its core makes of the poses."""
+def localised(
+    poses: Poses, settings: RobotSettings, start: Pose, seed: int, carried: bool
+) -> tuple[Localisation, MapFrame]:
+    """The localisation of a robot at `start` in the map's frame, and what its core makes of the poses.
+
+    One that is carried has to find out by itself where it is.
+    """
     if poses == "true":
         return TrueLocalisation(start), Given()
     mount = Pose.from_rpy(np.array(settings.lidar.mount_m))
     noise = np.random.default_rng([seed, settings.id, 13])
-    return EstimatedLocalisation(start, mount, noise), Estimated(settings.id, mount, start)
-
-
-def bracket_of(robot_id: int, robots: Sequence[RobotSettings]) -> int:
-    """Which of the carrier's places an aerial robot has."""
-    return [robot.id for robot in robots if robot.kind == "aerial"].index(robot_id)
+    known = None if carried else start
+    return EstimatedLocalisation(start, mount, noise), Estimated(settings.id, mount, known)
 
 
 def launch_pose(start: Pose, config: Config, place: int = 0) -> Pose:

@@ -9,13 +9,13 @@ import numpy as np
 
 from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
-from onboard.localization.bracket import carried_pose
+from onboard.localization.bracket import bracket_of, carried_pose
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory
 from onboard.robot.sensing import CLEARING_M
 from simulation.aerial_robot import AerialRobot
-from simulation.agent import Agent, bracket_of, launch_pose
+from simulation.agent import Agent, launch_pose
 from simulation.bodies import ContactCounter
 from simulation.localisation import Poses
 from simulation.radio import Radio
@@ -27,6 +27,12 @@ SEPARATION_S = 5.0
 """After a release, contact between the two robots counts as a collision from this time on."""
 
 EventSink = Callable[..., None]
+
+
+def with_colocalisation(config: Config) -> Config:
+    """The configuration for robots of which those aboard do not know where they are."""
+    deployment = config.deployment.model_copy(update={"colocalise": True})
+    return config.model_copy(update={"deployment": deployment})
 
 
 class Mission:
@@ -42,7 +48,7 @@ class Mission:
         planner: PlannerFactory = Explorer,
         poses: Poses = "estimated",
     ) -> None:
-        self.config = config
+        self.config = config if poses == "true" else with_colocalisation(config)
         self.world = world
         self.now_s = 0.0
         self.ticks = 0

@@ -63,7 +63,8 @@ def simulate(
 
     `team` is "both", "ground" or "aerial". Returns the metrics. After ctrl-C the directory holds what
     there is and KeyboardInterrupt goes on. `planner` makes the planner of every robot;
-    without `report` there is no report.html. `poses` "true": the robots are told where they are. Raises InputError for a start without ground or room to fly.
+    without `report` there is no report.html. With `poses` "true" the robots are told where they are. Raises
+    InputError for a start without ground or room to fly.
     """
     started = time.perf_counter()
     config = within_world(select_team(config, team), world)

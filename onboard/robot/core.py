@@ -68,7 +68,8 @@ class RobotCore:
         self.motion = Motion(settings, self.explorer)
         self.profile = Profile(clock)
         self.team = Team(config, settings.name, self.explorer, self.sensing, self.link, log, self.profile)
-        self.mapper = Mapper(self.team, frame or Given())
+        self.team.frame = frame or Given()
+        self.mapper = Mapper(self.team)
         self.role = self._role(seed, start)
         self.phase = self.role.first_phase
         self.arrived_s: float | None = None
@@ -98,10 +99,11 @@ class RobotCore:
 
     def step(self, inputs: Inputs) -> Outputs:
         """One control cycle (10 Hz)."""
-        now_s = inputs.now_s
+        now_s, pose = inputs.now_s, self.team.frame.pose(inputs.told)
+        self.role.sensed(self.phase, inputs, pose)
         frames = self.link.step(now_s, inputs.frames)
         for source, message in self.link.take_messages():
-            self._heard(now_s, source, message, self.mapper.frame.pose(inputs.told))
+            self._heard(now_s, source, message, pose)
         pose = self._see(inputs)
         if self.explorer.graph is not None:
             self.explorer.observe(pose.position)
@@ -122,18 +124,22 @@ class RobotCore:
 
     def _see(self, inputs: Inputs) -> Pose:
         """Draw what was seen and heard of; the pose in the map as it then is."""
-        mapper, told = self.mapper, inputs.told
+        mapper, frame, told = self.mapper, self.team.frame, inputs.told
         mapper.receive()
         if inputs.scan is not None and self.maps():
-            pose = mapper.frame.pose(told)
-            mapper.draw(self.team.without_peers(inputs.scan, pose, inputs.now_s), told, self.phase)
+            scan = self.team.without_peers(inputs.scan, frame.pose(told), inputs.now_s)
+            mapper.draw(scan, told, self.phase)
         if mapper.step(inputs.now_s):
             self.motion.adopt(inputs.now_s - 10.0, None)
-        return mapper.frame.pose(told)
+        return frame.pose(told)
 
     def maps(self) -> bool:
-        """A carried robot's LiDAR is mapped once its carrier has begun to hand over."""
-        return self.phase != Phase.CARRIED or len(self.link.store) > 0
+        """A carried robot maps once its carrier has begun to hand over and its own place is known."""
+        return self.phase != Phase.CARRIED or (len(self.link.store) > 0 and self.role.located)
+
+    def looks(self) -> bool:
+        """Whether scans are wanted."""
+        return self.maps() or self.role.searching
 
     def _budget(self, inputs: Inputs) -> None:
         remaining = self.team.remaining(inputs.now_s)

@@ -54,13 +54,8 @@ class Moves:
 class MapFrame(Protocol):
     """Takes what localisation says to the map that is in use."""
 
-    @property
-    def located(self) -> bool:
-        """Whether the robot knows where it is in the map; `pose` says nothing before."""
-        ...
-
-    def locate(self, map_from_odometry: Pose) -> None:
-        """Begin at this pose of the odometry's frame in the map."""
+    def locate(self, map_from_odometry: Pose | None) -> None:
+        """Begin at this pose of the odometry's frame in the map; None: unknown again, `pose` says nothing."""
         ...
 
     def pose(self, told: Told) -> Pose:
@@ -87,10 +82,8 @@ class MapFrame(Protocol):
 class Given:
     """Poses come in the map's frame and are right: a simulator's truth, or a motion capture system's."""
 
-    located = True
-
-    def locate(self, map_from_odometry: Pose) -> None:
-        raise InputError("poses are given in the map's frame: there is nothing to find")
+    def locate(self, map_from_odometry: Pose | None) -> None:
+        pass
 
     def pose(self, told: Told) -> Pose:
         return told.pose
@@ -122,12 +115,8 @@ class Estimated:
         self._covariance = np.zeros((6, 6))
         self._keyframe = Pose.identity()
 
-    @property
-    def located(self) -> bool:
-        return self._first is not None
-
-    def locate(self, map_from_odometry: Pose) -> None:
-        """The robot has found out where its odometry began, before its first keyframe."""
+    def locate(self, map_from_odometry: Pose | None) -> None:
+        """Counts until the first keyframe."""
         self._first = map_from_odometry
 
     def pose(self, told: Told) -> Pose:

@@ -10,7 +10,7 @@ from onboard.localization.corrections import Correction, Knot
 from onboard.mission import Phase
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.relocation import relocate
-from onboard.robot.map_frame import MapFrame, Told
+from onboard.robot.map_frame import Told
 from onboard.robot.roles import Team
 from onboard.sharing.correction_talk import CorrectionTalk
 from onboard.sharing.messages import CorrectionKnot, Corrections
@@ -19,19 +19,18 @@ from onboard.sharing.messages import CorrectionKnot, Corrections
 class Mapper:
     """Keeps map, keyframes and frame of one robot in step."""
 
-    def __init__(self, team: Team, frame: MapFrame) -> None:
-        self.frame = frame
+    def __init__(self, team: Team) -> None:
         self._team = team
         self._talk = CorrectionTalk(team.settings.id)
 
     def draw(self, scan: Scan, told: Told, phase: Phase) -> None:
         """An own scan from which the other robots' bodies have been taken out."""
-        team, pose = self._team, self.frame.pose(told)
+        team, pose = self._team, self._team.frame.pose(told)
         team.profile.timed("map", team.sensing.integrate, scan, pose)
         if phase == Phase.CARRIED:
             return
         sequence = self._keyframe(scan, pose) if team.sensing.keyframe_due(scan, pose) else None
-        team.profile.timed("poses", self.frame.scan, scan, told, sequence)
+        team.profile.timed("poses", self._team.frame.scan, scan, told, sequence)
 
     def _keyframe(self, scan: Scan, pose: Pose) -> int:
         team = self._team
@@ -46,7 +45,7 @@ class Mapper:
         for source, sequence, payload in self._team.link.take_keyframes():
             keyframe = self._team.profile.timed("decode", self._team.sensing.decoded, payload)
             if keyframe is not None:
-                pose = self.frame.peer((source, sequence), keyframe)
+                pose = self._team.frame.peer((source, sequence), keyframe)
                 self._team.sensing.receive(keyframe, pose)
                 places.append(pose.position)
         self._team.remember_trail(places)
@@ -55,7 +54,7 @@ class Mapper:
         """A peer's word on where its keyframes are, or that it knows of ours."""
         if message.knots:
             knots = tuple(Knot(knot.sequence, knot.shift_m, knot.turn_rad) for knot in message.knots)
-            self.frame.take(Correction(message.source, message.revision, knots))
+            self._team.frame.take(Correction(message.source, message.revision, knots))
         answer = self._talk.came(source, message)
         if answer is not None:
             self._team.link.post(answer, source)
@@ -63,7 +62,7 @@ class Mapper:
     def step(self, now_s: float) -> bool:
         """Let map and poses follow closed loops; whether the map is another from now on."""
         team = self._team
-        moves = team.profile.timed("poses", self.frame.step, team.explorer.map)
+        moves = team.profile.timed("poses", self._team.frame.step, team.explorer.map)
         if moves is not None:
             relocate(team.explorer, moves)
             self._talk.tell(_packed(moves.correction))

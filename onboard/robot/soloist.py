@@ -8,6 +8,7 @@ from onboard.core.geometry import Pose
 from onboard.mission import Facts, Phase
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
+from onboard.robot.interface import Inputs
 from onboard.robot.roles import Team
 from onboard.sharing.messages import Message
 
@@ -19,6 +20,8 @@ class Soloist:
     """Role of an aerial robot in a team without a ground robot."""
 
     release = False
+    located = True
+    searching = False
     first_phase = Phase.TAKING_OFF
 
     def __init__(self, team: Team, start: Pose) -> None:
@@ -51,6 +54,9 @@ class Soloist:
 
     def handle(self, now_s: float, source: int, message: Message, pose: Pose) -> None:
         """There is nobody to agree with on where to meet."""
+
+    def sensed(self, phase: Phase, inputs: Inputs, pose: Pose) -> None:
+        """Its map begins where it does: there is no other one to find itself in."""
 
     def tick(self, now_s: float, phase: Phase, pose: Pose) -> None:
         """Nothing to tell anybody."""
