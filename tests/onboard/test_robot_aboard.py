@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import numpy as np
-import pytest
 
 from onboard.core.config import Config
 from onboard.core.geometry import Pose, rotation_angle
 from onboard.mission import FLYING, Phase
 from onboard.robot.core import RobotCore
 from onboard.robot.flyer import Flyer
-from onboard.robot.interface import Inputs, Outputs
-from simulation.agent import Agent
+from onboard.robot.map_frame import Estimated
+from simulation.localisation import Poses
 from simulation.mission import Mission
 from simulation.scene import Scene
 from simulation.worlds import World
 from tests.simulation.conftest import Box, boxes_mesh
 from tests.simulation.small_mission import EAGER, Event, room, team
 
-OWN_FRAME = Pose.from_rpy(np.array([40.0, -15.0, 2.0]), yaw_rad=-1.2)
-"""The map's origin in the frame of the aerial robot's odometry."""
 TUNNEL: list[Box] = [
     (-80.0, -1.5, -0.2, 80.0, 1.5, 0.0),
     (-80.0, -1.5, 3.0, 80.0, 1.5, 3.2),
@@ -39,13 +36,13 @@ def tunnel() -> World:
     return World("tunnel", None, vertices, triangles, np.array([0.0, 0.0, 0.0]), 0.0)
 
 
-def begun(config: Config, world: World) -> tuple[Mission, list[Event]]:
+def begun(config: Config, world: World, poses: Poses = "estimated") -> tuple[Mission, list[Event]]:
     events: list[Event] = []
 
     def log(time_s: float, kind: str, **fields: object) -> None:
         events.append((time_s, kind, fields))
 
-    return Mission(config, world, Scene(world.vertices, world.triangles), 1, log), events
+    return Mission(config, world, Scene(world.vertices, world.triangles), 1, log, poses=poses), events
 
 
 def until(mission: Mission, events: list[Event], kind: str) -> Event:
@@ -64,21 +61,6 @@ def play(mission: Mission, seconds: float) -> None:
         mission.tick()
 
 
-@pytest.fixture
-def own_odometry(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Aerial robots know their pose in a frame of their own only."""
-
-    def think(agent: Agent, now_s: float, scan: object) -> Outputs:
-        frames, agent.inbox = tuple(agent.inbox), []
-        pose, odometry = agent.pose, None
-        if agent.settings.kind == "aerial":
-            pose, odometry = Pose.identity(), OWN_FRAME.compose(agent.pose)
-        return agent.core.step(Inputs(now_s, pose, 1.0, scan, frames, odometry))  # type: ignore[arg-type]
-
-    monkeypatch.setattr(Agent, "think", think)
-
-
-@pytest.mark.usefixtures("own_odometry")
 def test_a_robot_with_an_odometry_of_its_own_flies_in_its_carriers_map():
     mission, events = begun(colocalising(), room())
     released = until(mission, events, "release")
@@ -88,9 +70,9 @@ def test_a_robot_with_an_odometry_of_its_own_flies_in_its_carriers_map():
     assert isinstance(flyer.core.role, Flyer)
     found = flyer.core.role.map_from_odometry
     assert found is not None
-    error = found.compose(OWN_FRAME)
-    assert np.linalg.norm(error.compose(flyer.pose).position - flyer.pose.position) < 0.05
-    assert rotation_angle(error.quaternion, Pose.identity().quaternion) < np.deg2rad(0.5)
+    believed = found.compose(flyer.localisation.told().pose)
+    assert np.linalg.norm(believed.position - flyer.pose.position) < 0.05
+    assert rotation_angle(believed.quaternion, flyer.pose.quaternion) < np.deg2rad(0.5)
     play(mission, 8.0)
     assert not flyer.carried
     path = np.array(flyer.path)[:, 1:] + np.array(flyer.settings.lidar.mount_m)
@@ -101,8 +83,8 @@ def test_a_robot_with_an_odometry_of_its_own_flies_in_its_carriers_map():
 
 
 def test_where_poses_are_given_the_bracket_opens_later_by_what_it_takes_and_all_else_is_the_same():
-    without, plain = begun(team(mission={"duration_s": 40.0}, deployment=EAGER), room())
-    with_it, careful = begun(colocalising(), room())
+    without, plain = begun(team(mission={"duration_s": 40.0}, deployment=EAGER), room(), "true")
+    with_it, careful = begun(colocalising(), room(), "true")
     early = until(without, plain, "release")
     late = until(with_it, careful, "release")
     assert 1.0 < late[0] - early[0] < 6.0
@@ -124,7 +106,9 @@ def test_a_robot_restarted_in_the_very_moment_of_its_release_finds_itself_anew_b
     mission, events = begun(colocalising(), room())
     until(mission, events, "located")
     flyer = mission.agents[1]
-    flyer.core = RobotCore(mission.config, flyer.settings, 1, flyer.pose, flyer.core.team.log, lambda: 0.0)
+    settings, log = flyer.settings, flyer.core.team.log
+    frame = Estimated(settings.id, Pose.from_rpy(np.array(settings.lidar.mount_m)), None)
+    flyer.core = RobotCore(mission.config, settings, 1, flyer.pose, log, lambda: 0.0, frame=frame)
     until(mission, events, "release")
     play(mission, 3.0)
     assert flyer.core.phase == Phase.CARRIED

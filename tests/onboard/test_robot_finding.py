@@ -17,6 +17,7 @@ from onboard.robot.cloud_offer import RATE_SHARE, CloudOffer
 from onboard.robot.finding import Finding, Standstill
 from onboard.robot.interface import Inputs, Profile
 from onboard.robot.localised import FRESH_S, Localised
+from onboard.robot.map_frame import Estimated, Told
 from onboard.sharing import LinkCore
 from onboard.sharing.frames import kind_name, unpack
 from onboard.sharing.messages import Chunk, Located, Missing, Offer, Status
@@ -57,6 +58,7 @@ class Couple:
     def restart(self) -> None:
         """The flyer's computer begins anew."""
         self._link = LinkCore(FLYER, [CARRIER])
+        self.frame = Estimated(FLYER, Pose.identity(), None)
         team: Any = SimpleNamespace(
             config=SimpleNamespace(deployment=SimpleNamespace(colocalise=True)),
             link=self._link,
@@ -64,6 +66,7 @@ class Couple:
             profile=Profile(lambda: 0.0),
             sensing=SimpleNamespace(sensor_pose=lambda body: body),
             peer_phase=self._phase_of,
+            frame=self.frame,
         )
         self.finding = Finding(team)
 
@@ -95,9 +98,8 @@ class Couple:
 
     def _step_flyer(self, frames: list[bytes]) -> None:
         odometry = START.compose(self._place.truth)
-        far_off = Pose.from_rpy(np.full(3, 1e3))
         scan = self._scan if self.finding.searching and round(self.now_s * 10) % 5 == 0 else None
-        self.finding.sensed(Inputs(self.now_s, far_off, 1.0, scan, odometry=odometry))
+        self.finding.sensed(Inputs(self.now_s, Told(odometry), 1.0, scan))
         self._link.set_status(status(Phase.CARRIED, self.now_s))
         self._transmit(self._link.step(self.now_s, frames))
         for source, message in self._link.take_messages():
@@ -131,8 +133,7 @@ class Couple:
         return sum(sent == kind for _, sent, _ in self.sent)
 
     def pose(self) -> Pose:
-        odometry = START.compose(self._place.truth)
-        return self.finding.pose(Inputs(self.now_s, Pose.identity(), 1.0, odometry=odometry))
+        return self.frame.pose(Told(START.compose(self._place.truth)))
 
 
 def couple(name: str = "furnished", loss: float = 0.0) -> Couple:
