@@ -6,6 +6,7 @@ import numpy as np
 
 from onboard.core.config import Config
 from onboard.core.geometry import Pose, rotation_angle
+from onboard.core.lidar import VLP_16, Scan
 from onboard.mission import FLYING, Phase
 from onboard.robot.core import RobotCore
 from onboard.robot.flyer import Flyer
@@ -119,3 +120,19 @@ def test_a_robot_restarted_in_the_very_moment_of_its_release_finds_itself_anew_b
         "located",
     ]
     assert flyer.core.phase in FLYING
+
+
+@pytest.mark.usefixtures("own_odometry")
+def test_a_carrier_blanks_the_robot_on_its_back_although_that_one_does_not_know_where_it_is():
+    mission, _ = begun(colocalising(), room())
+    play(mission, 2.5)
+    carrier, flyer = mission.agents
+    core = carrier.core
+    sensor = core.sensing.sensor_pose(carrier.pose)
+    towards = sensor.inverse().compose(flyer.pose).position
+    nearest = np.argmax(VLP_16.directions @ towards.astype(np.float32))
+    ranges = np.full((VLP_16.rows, VLP_16.columns), 4.0, dtype=np.float32)
+    ranges.reshape(-1)[nearest] = np.linalg.norm(towards)
+    kept = core.team.without_peers(Scan(0.0, ranges, VLP_16), carrier.pose, mission.now_s).ranges > 0
+    assert not kept.reshape(-1)[nearest]
+    assert kept.sum() == kept.size - 1
