@@ -17,6 +17,7 @@ from onboard.planning.deployment import TAKE_OFF_M, AerialOutlook, Decision, Tri
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
 from onboard.planning.regroup import Acceptor, thinned
+from onboard.planning.relocation import Moved
 from onboard.robot.cloud_offer import CloudOffer
 from onboard.robot.handover import HandOver, Outcome
 from onboard.robot.interface import Inputs
@@ -72,6 +73,10 @@ class Carrier:
         """Keep what the LiDAR sees around the carrier for whoever is aboard."""
         if self._offer is not None and self._aboard and inputs.scan is not None:
             self._offer.saw(inputs.scan, self._team.sensing.sensor_pose(pose))
+
+    def redrawn(self, moved: Moved) -> None:
+        if self._offer is not None:
+            self._offer.follow(moved)
 
     def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
         decision = self._decision

@@ -6,6 +6,7 @@ from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.localization.local_cloud import LocalCloud
 from onboard.localization.surroundings import Surroundings, surroundings_to_bytes
+from onboard.planning.relocation import Moved
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import CHUNK_BYTES, Missing
 from onboard.sharing.transfer import DataSender
@@ -35,6 +36,10 @@ class CloudOffer:
     def saw(self, scan: Scan, sensor: Pose) -> None:
         """Take in a scan of the LiDAR at `sensor` in the map."""
         self._cloud.add(scan.points(), sensor)
+
+    def follow(self, moved: Moved) -> None:
+        """The map has been drawn anew; what is being offered stays as it is."""
+        self._cloud.move(moved)
 
     def begin(self, now_s: float, name: int, to: int, sensor: Pose) -> None:
         """Offer the cloud as it is now to robot `to`, whose LiDAR should be at `sensor` in the map."""

@@ -16,7 +16,7 @@ from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity
 from onboard.planning.local_graph import FloatArray
-from onboard.planning.plan import Plan
+from onboard.planning.plan import Plan, described
 from onboard.robot.carrier import Carrier
 from onboard.robot.flyer import Flyer
 from onboard.robot.interface import Inputs, Log, Outputs, Profile
@@ -129,7 +129,9 @@ class RobotCore:
         if inputs.scan is not None and self.maps():
             scan = self.team.without_peers(inputs.scan, frame.pose(told), inputs.now_s)
             mapper.draw(scan, told, self.phase)
-        if mapper.step(inputs.now_s):
+        moved = mapper.step(inputs.now_s)
+        if moved is not None:
+            self.role.redrawn(moved)
             self.motion.adopt(inputs.now_s - 10.0, None)
         return frame.pose(told)
 
@@ -286,15 +288,3 @@ class RobotCore:
             remaining_s=max(0.0, self.team.remaining(inputs.now_s)),
             keyframes=len(self.team.keyframe_positions),
         )
-
-
-def described(plan: Plan) -> dict[str, object]:
-    """A plan as fields of an event."""
-    goal = [round(float(value), 2) for value in plan.goal] if len(plan.path) else None
-    return {
-        "choice": plan.kind,
-        "goal": goal,
-        "gain_m3": round(plan.gain_m3, 2),
-        "travel_s": round(plan.time_s, 1),
-        "score": round(plan.score, 3),
-    }

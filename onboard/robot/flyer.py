@@ -11,6 +11,7 @@ from onboard.planning.deployment import TAKE_OFF_M
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
 from onboard.planning.regroup import Proposer, choose_point
+from onboard.planning.relocation import Moved
 from onboard.robot.finding import Finding
 from onboard.robot.interface import Inputs
 from onboard.robot.roles import Team, vector
@@ -59,6 +60,9 @@ class Flyer:
 
     def regroup_point(self) -> FloatArray | None:
         return None if self._proposer is None else self._proposer.point
+
+    def redrawn(self, moved: Moved) -> None:
+        """What it keeps of places is the planner's."""
 
     def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
         climbed = self._climb_to is not None and bool(

@@ -10,7 +10,7 @@ from onboard.localization.corrections import Correction, Knot
 from onboard.mission import Phase
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.relocation import relocate
-from onboard.robot.map_frame import Told
+from onboard.robot.map_frame import Moves, Told
 from onboard.robot.roles import Team
 from onboard.sharing.correction_talk import CorrectionTalk
 from onboard.sharing.messages import CorrectionKnot, Corrections
@@ -59,10 +59,10 @@ class Mapper:
         if answer is not None:
             self._team.link.post(answer, source)
 
-    def step(self, now_s: float) -> bool:
-        """Let map and poses follow closed loops; whether the map is another from now on."""
+    def step(self, now_s: float) -> Moves | None:
+        """Let map and poses follow closed loops; not None where the map is another one from now on."""
         team = self._team
-        moves = team.profile.timed("poses", self._team.frame.step, team.explorer.map)
+        moves: Moves | None = team.profile.timed("poses", self._team.frame.step, team.explorer.map)
         if moves is not None:
             relocate(team.explorer, moves)
             self._talk.tell(_packed(moves.correction))
@@ -72,7 +72,7 @@ class Mapper:
             message = self._talk.due(now_s, peer) if team.link.in_contact(peer, now_s) else None
             if message is not None:
                 team.link.post(message, peer)
-        return moves is not None
+        return moves
 
 
 def _packed(correction: Correction) -> Corrections:

@@ -15,6 +15,7 @@ from onboard.mission import AT_REGROUP, FLYING, Facts, Phase
 from onboard.planning.explorer import Explorer
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
+from onboard.planning.relocation import Moved
 from onboard.planning.worth import PeerGoal
 from onboard.robot.bidding import Bidding
 from onboard.robot.interface import Inputs, Log, Profile
@@ -176,6 +177,10 @@ class Role(Protocol):
     def sensed(self, phase: Phase, inputs: Inputs, pose: Pose) -> None:
         """Sensor readings have come, the body being at `pose` in the map, if that is known; called once a
         step, before everything else."""
+        ...
+
+    def redrawn(self, moved: Moved) -> None:
+        """The map has been drawn anew: `moved` tells where places of the old one are."""
         ...
 
     def regroup_point(self) -> FloatArray | None:

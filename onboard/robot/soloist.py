@@ -8,6 +8,7 @@ from onboard.core.geometry import Pose
 from onboard.mission import Facts, Phase
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
+from onboard.planning.relocation import Moved
 from onboard.robot.interface import Inputs
 from onboard.robot.roles import Team
 from onboard.sharing.messages import Message
@@ -33,6 +34,9 @@ class Soloist:
 
     def regroup_point(self) -> FloatArray:
         return self._above
+
+    def redrawn(self, moved: Moved) -> None:
+        """What it keeps of places is the planner's."""
 
     def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
         climbed = bool(pose.position[2] > self._above[2] - CLIMB_TOLERANCE_M)

@@ -122,7 +122,6 @@ def test_a_robot_restarted_in_the_very_moment_of_its_release_finds_itself_anew_b
     assert flyer.core.phase in FLYING
 
 
-@pytest.mark.usefixtures("own_odometry")
 def test_a_carrier_blanks_the_robot_on_its_back_although_that_one_does_not_know_where_it_is():
     mission, _ = begun(colocalising(), room())
     play(mission, 2.5)
