@@ -41,8 +41,9 @@ class BackendSettings:
     max_knots: int = 1000
     scans_a_step: int = 4
     """Kept scans that are drawn into a new map in one step."""
-    redraws: int = 8
-    """For every kept scan so many may be drawn anew: old maps wait longer for a new one."""
+    redraws: int = 4
+    redraws_a_step: float = 0.5
+    """For every kept scan and for every step so many may be drawn anew: large maps wait longer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +94,7 @@ class Backend:
         self._target: dict[Key, Pose] | None = None
         self._job: Reintegration | None = None
         self._redrawn = 0
+        self._steps = 0
         self._judged = 0
 
     def step(self, used: VoxelMap, new: Sequence[NewKeyScan] = ()) -> Progress:
@@ -104,6 +106,7 @@ class Backend:
         for item in new:
             self.add_keyframe(item)
         self.closer.work()
+        self._steps += 1
         before = self.used
         correction = self._go_on_drawing(used)
         moved = {} if correction is None else {k: p for k, p in self.used.items() if _differs(before, k, p)}
@@ -221,7 +224,8 @@ class Backend:
 
     def _may_redraw(self) -> bool:
         count = len(self.archive)
-        return self._redrawn + count <= self.settings.redraws * count
+        allowed = self.settings.redraws * count + self.settings.redraws_a_step * self._steps
+        return self._redrawn + count <= allowed
 
     def _draw(self, kept: Kept) -> None:
         """Let a map that is being rebuilt have a new scan, too."""
