@@ -32,17 +32,19 @@ class BackendSettings:
     between_m: float = 0.5
     between_rad: float = 0.35
     """A scan is kept for the map after so much motion since the last kept one."""
-    correct_m: float = 0.1
-    correct_rad: float = 0.01
+    correct_m: float = 0.15
+    correct_rad: float = 0.015
     """The map is rebuilt once a keyframe has moved or turned by so much."""
     peer_m: float = 0.05
     peer_rad: float = 0.01
     """How well a peer is taken to know where its keyframes are."""
     max_knots: int = 1000
+    settled: int = 20
+    """A new map waits for so many steps without anything to do for the loops: closures come in series."""
     scans_a_step: int = 4
     """Kept scans that are drawn into a new map in one step."""
     redraws: int = 4
-    redraws_a_step: float = 0.5
+    redraws_a_step: float = 0.7
     """For every kept scan and for every step so many may be drawn anew: large maps wait longer."""
 
 
@@ -95,6 +97,7 @@ class Backend:
         self._job: Reintegration | None = None
         self._redrawn = 0
         self._steps = 0
+        self._idle = 0
         self._judged = 0
 
     def step(self, used: VoxelMap, new: Sequence[NewKeyScan] = ()) -> Progress:
@@ -215,7 +218,9 @@ class Backend:
 
     def _go_on_drawing(self, used: VoxelMap) -> Correction | None:
         if self._job is None:
-            if self._judged != self.closer.changes and not self.closer.busy and self._may_redraw():
+            self._idle = 0 if self.closer.busy else self._idle + 1
+            settled = self._idle >= self.settings.settled and self._judged != self.closer.changes
+            if settled and self._may_redraw():
                 self._judged = self.closer.changes
                 if self.outdated:
                     self.rebuild(used)
