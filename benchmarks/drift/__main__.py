@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from rich.console import Console
 
 from benchmarks.drift.errors import RATIOS
 from benchmarks.drift.measure import Outcome, measure
@@ -19,15 +20,16 @@ from benchmarks.drift.tracks import PLANS
 def main() -> None:
     arguments = _parser().parse_args()
     arguments.out.mkdir(parents=True, exist_ok=True)
-    outcomes = []
+    console = Console()
+    outcomes: list[Outcome] = []
     for seed in range(1, arguments.seeds + 1):
         for plan in PLANS:
             if arguments.only in plan.name:
                 outcomes.append(measure(plan, arguments.out / "scans", seed))
-                print(_line(outcomes[-1]), flush=True)
+                console.print(_line(outcomes[-1]), highlight=False, soft_wrap=True)
                 _write(arguments.out / "drift.json", outcomes)
     text = table(outcomes, RATIOS)
-    print(text)
+    console.print(text, highlight=False, soft_wrap=True)
     if arguments.table is not None:
         arguments.table.write_text(inserted(arguments.table.read_text(), text))
 
@@ -36,9 +38,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--out", type=Path, required=True, help="folder for cast scans and drift.json")
     parser.add_argument("--table", type=Path, help="document whose table is replaced")
-    parser.add_argument(
-        "--seeds", type=int, default=1, help="runs of every mission with other odometry errors"
-    )
+    parser.add_argument("--seeds", type=int, default=1, help="runs of a mission, each with other errors")
     parser.add_argument("--only", default="", help="only missions whose name contains this")
     return parser
 

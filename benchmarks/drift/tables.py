@@ -11,8 +11,8 @@ from benchmarks.drift.tracks import Plan
 
 BEGIN, END = "<!-- drift: begin -->", "<!-- drift: end -->"
 _HEAD = [
-    "| mission | runs | way | odometry: end | odometry: worst | closed: end | closed: robot's own | closed: worst | "
-    "ATE before / after | loops closed | wrong | CPU a key scan: loops + maps | longest step |",
+    "| mission | runs | way | odometry: end | odometry: worst | closed: end | closed: robot's own "
+    "| closed: worst | ATE before / after | loops closed | wrong | CPU a key scan: loops + maps | longest step |",
     "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
 ]
 
@@ -61,10 +61,11 @@ def _summary(outcomes: Sequence[Outcome]) -> str:
     closing = sum(outcome.closing_ms * outcome.keyframes for outcome in outcomes) / scans
     drawing = sum(outcome.drawing_ms * outcome.keyframes for outcome in outcomes) / scans
     return (
-        f"{len(outcomes)} missions: error at the end at most {ends.max():.2f} m (median {np.median(ends):.2f} m); "
+        f"{len(outcomes)} missions: error at the end at most {ends.max():.2f} m "
+        f"(median {np.median(ends):.2f} m); "
         f"{sum(o.closed for o in outcomes)} loops closed, {sum(o.wrong_closed for o in outcomes)} wrong "
         f"({sum(o.wrong_found for o in outcomes)} wrong ones found and refused). CPU a key scan: "
         f"{closing:.0f} ms for loops, {drawing:.0f} ms for maps; steps: 99.9 % within "
-        f"{np.percentile(steps, 99.9):.0f} ms, the longest {steps.max():.0f} ms. Memory: {stored:.1f} kB of scan "
-        f"and {graph:.0f} bytes of graph a key scan."
+        f"{np.percentile(steps, 99.9):.0f} ms, the longest {steps.max():.0f} ms. "
+        f"Memory: {stored:.1f} kB of scan and {graph:.0f} bytes of graph a key scan."
     )

@@ -62,7 +62,7 @@ class Verified:
 class Refusals:
     """Loops looked at in vain: their neighbours are passed over, more of them after every further one."""
 
-    def __init__(self, beside: int = 5, least: int = 3, most: int = 16) -> None:
+    def __init__(self, beside: int = 3, least: int = 1, most: int = 6) -> None:
         """Neighbours: `beside` keyframes about the older one, `least` to `most` about the newer one."""
         self._beside, self._least, self._most = beside, least, most
         self._kept: deque[tuple[Candidate, int]] = deque(maxlen=200)
