@@ -19,7 +19,7 @@ from onboard.localization.archive import Archive, Kept
 from onboard.localization.closer import CloserSettings, LoopCloser
 from onboard.localization.corrections import Correction, CorrectionBook, correction_of, moved_far
 from onboard.localization.pose_graph import Key, Step
-from onboard.localization.reintegration import Reintegration
+from onboard.localization.reintegration import Piece, Reintegration
 from onboard.mapping.replacement import replace_contents
 from onboard.mapping.voxel_map import VoxelMap
 
@@ -176,6 +176,15 @@ class Backend:
                 self.closer.put(key, self.book.pose(*key, pose), self._peer_covariance())
         self._judged = -1
         return True
+
+    def resume(self, last: Key | None, odometry: Pose) -> None:
+        """Go on after a crash: the last keyframe and what odometry said then."""
+        self.last, self.odometry, self._kept_at = last, odometry, odometry
+        self._judged = -1
+
+    def pieces(self) -> list[Piece]:
+        """What the map in use is drawn of, in order."""
+        return self.archive.pieces(self.used)
 
     @property
     def drawing(self) -> bool:
