@@ -12,7 +12,8 @@ from benchmarks.drift.tracks import Plan
 BEGIN, END = "<!-- drift: begin -->", "<!-- drift: end -->"
 _HEAD = [
     "| mission | runs | way | odometry: end | odometry: worst | closed: end | closed: robot's own "
-    "| closed: worst | ATE before / after | loops closed | wrong | CPU a key scan: loops + maps | longest step |",
+    "| closed: worst | ATE before / after | loops closed | wrong | CPU a key scan: loops + maps "
+    "| longest step |",
     "|---|---|---|---|---|---|---|---|---|---|---|---|---|",
 ]
 

@@ -56,7 +56,7 @@ def astray() -> Mission:
 
 
 def test_a_room_that_looks_the_same_does_not_bend_the_map(astray: Mission) -> None:
-    """Registrations that are believed too soon find look-alikes: closures that do not agree are not closed."""
+    """Registrations believed too soon find look-alikes: closures that do not agree are not closed."""
     registration = RegistrationSettings(min_agreement_far=0.9)
     closer = CloserSettings(drift=DriftModel(0.1, 1e-3), registration=registration)
     end = Backend(1, astray.truth[0], BackendSettings(closer=closer))
@@ -222,7 +222,7 @@ def test_after_a_crash_it_goes_on_where_it_stopped() -> None:
     for new in news[50:]:
         for count in range(12):
             steps = [end.step(on, [] if count else [new]) for end, on in ((first, used), (again, drawn))]
-            assert [step.correction is None for step in steps][0] == (steps[1].correction is None)
+            assert (steps[0].correction is None) == (steps[1].correction is None)
     for key, pose in first.closer.graph.poses.items():
         np.testing.assert_allclose(pose.matrix(), again.closer.graph.poses[key].matrix(), atol=1e-6)
     assert again.take_correction(Correction(2, 4, ())) is False

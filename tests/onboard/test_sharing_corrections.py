@@ -5,7 +5,8 @@ from __future__ import annotations
 from hypothesis import given
 from hypothesis import strategies as st
 
-from onboard.localization.corrections import Correction, CorrectionBook, Knot
+from onboard.localization.corrections import CorrectionBook
+from onboard.robot.corrections import from_message
 from onboard.sharing.correction_talk import REPEAT_S, CorrectionTalk
 from onboard.sharing.frames import pack, unpack
 from onboard.sharing.messages import CorrectionKnot, Corrections
@@ -73,8 +74,7 @@ def test_whatever_is_lost_repeated_or_overtaken_the_newest_correction_arrives(da
                 message = unpack(frame).message
                 assert isinstance(message, Corrections)
                 if message.knots:
-                    knots = tuple(Knot(k.sequence, k.shift_m, k.turn_rad) for k in message.knots)
-                    book.take(Correction(message.source, message.revision, knots))
+                    book.take(from_message(message))
                 answer = talks[target].came(3 - target, message)
                 if answer is not None:
                     air.append((3 - target, pack(answer, target, 3 - target)))
