@@ -62,7 +62,7 @@ class Outcome:
 
 def settings_of(sensor: str) -> BackendSettings:
     """The back end as it is set for a sensor."""
-    drift = DriftModel(shift_per_m=RATIOS[sensor], turn_rad_per_m=0.02 * RATIOS[sensor])
+    drift = DriftModel(shift_per_m=RATIOS[sensor], turn_rad_per_m=0.06 * RATIOS[sensor])
     return BackendSettings(closer=CloserSettings(drift=drift))
 
 
@@ -78,8 +78,8 @@ class Run:
     wrong: set[int] = field(default_factory=set)
     drawing_ms: float = 0.0
 
-    def step(self, new: list[NewKeyScan]) -> bool:
-        """One step of the back end; whether it had anything to do."""
+    def step(self, new: list[NewKeyScan]) -> None:
+        """One step of the back end."""
         drawing, changes = self.backend.drawing, self.backend.closer.changes
         busy = self.backend.closer.busy
         began = time.process_time()
@@ -90,7 +90,6 @@ class Run:
             self.drawing_ms += took_ms
         if changes != self.backend.closer.changes:
             self._judge()
-        return busy or drawing or self.backend.closer.busy or self.backend.drawing
 
     def _judge(self) -> None:
         """Look for wrong closures among those that the estimates follow now."""
@@ -116,8 +115,7 @@ def measure(plan: Plan, folder: Path, seed: int = 1) -> Outcome:
         covariance = step_covariance(step_m, ratio)
         new = [NewKeyScan(sequence, scan.scan(), home.compose(pose), covariance)]
         for _ in range(STEPS):
-            if not run.step(new):
-                break
+            run.step(new)
             new = []
     for _ in range(STEPS_AFTER):
         run.step([])

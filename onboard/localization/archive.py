@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 from onboard.core.geometry import Pose
@@ -15,10 +15,10 @@ from onboard.mapping.voxel_map import OWN, PEER
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kept:
-    """A scan whose sensor is at `offset` in the frame of keyframe `key`."""
+    """A scan whose sensor is at `offset` in the frame of keyframe `key`; None: it is the keyframe's own."""
 
     key: Key
-    offset: Pose
+    offset: Pose | None
     scan: KeyScan
 
 
@@ -38,11 +38,20 @@ class Archive:
         """Size of the packed scans."""
         return sum(len(kept.scan.data) for kept in self._kept)
 
+    def __iter__(self) -> Iterator[Kept]:
+        """In order of arrival."""
+        return iter(self._kept)
+
+    def put_back(self, kept: Kept) -> None:
+        """A scan that was kept before."""
+        if kept.offset is None:
+            self._keyframes[kept.key] = kept.scan
+        self._kept.append(kept)
+
     def add_keyframe(self, key: Key, scan: Scan) -> Kept:
         """Keep the scan of a keyframe."""
-        kept = Kept(key, Pose.identity(), keep(scan))
-        self._keyframes[key] = kept.scan
-        self._kept.append(kept)
+        kept = Kept(key, None, keep(scan))
+        self.put_back(kept)
         return kept
 
     def add_between(self, key: Key, offset: Pose, scan: Scan) -> Kept:
@@ -63,4 +72,4 @@ class Archive:
     def piece(self, kept: Kept, pose: Pose) -> Piece:
         """One kept scan, its keyframe being at `pose`."""
         source = OWN if kept.key[0] == self._robot else PEER
-        return Piece(kept.scan, pose.compose(kept.offset), source)
+        return Piece(kept.scan, pose if kept.offset is None else pose.compose(kept.offset), source)

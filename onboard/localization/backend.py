@@ -19,7 +19,7 @@ from onboard.localization.archive import Archive, Kept
 from onboard.localization.closer import CloserSettings, LoopCloser
 from onboard.localization.corrections import Correction, CorrectionBook, correction_of, moved_far
 from onboard.localization.pose_graph import Key, Step
-from onboard.localization.reintegration import Reintegration
+from onboard.localization.reintegration import Piece, Reintegration
 from onboard.mapping.replacement import replace_contents
 from onboard.mapping.voxel_map import VoxelMap
 
@@ -32,17 +32,20 @@ class BackendSettings:
     between_m: float = 0.5
     between_rad: float = 0.35
     """A scan is kept for the map after so much motion since the last kept one."""
-    correct_m: float = 0.1
-    correct_rad: float = 0.01
+    correct_m: float = 0.15
+    correct_rad: float = 0.015
     """The map is rebuilt once a keyframe has moved or turned by so much."""
     peer_m: float = 0.05
     peer_rad: float = 0.01
     """How well a peer is taken to know where its keyframes are."""
     max_knots: int = 1000
+    settled: int = 20
+    """A new map waits for so many steps without anything to do for the loops: closures come in series."""
     scans_a_step: int = 4
     """Kept scans that are drawn into a new map in one step."""
-    redraws: int = 8
-    """For every kept scan so many may be drawn anew: old maps wait longer for a new one."""
+    redraws: int = 4
+    redraws_a_step: float = 0.7
+    """For every kept scan and for every step so many may be drawn anew: large maps wait longer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,6 +96,8 @@ class Backend:
         self._target: dict[Key, Pose] | None = None
         self._job: Reintegration | None = None
         self._redrawn = 0
+        self._steps = 0
+        self._idle = 0
         self._judged = 0
 
     def step(self, used: VoxelMap, new: Sequence[NewKeyScan] = ()) -> Progress:
@@ -104,6 +109,7 @@ class Backend:
         for item in new:
             self.add_keyframe(item)
         self.closer.work()
+        self._steps += 1
         before = self.used
         correction = self._go_on_drawing(used)
         moved = {} if correction is None else {k: p for k, p in self.used.items() if _differs(before, k, p)}
@@ -171,6 +177,15 @@ class Backend:
         self._judged = -1
         return True
 
+    def resume(self, last: Key | None, odometry: Pose) -> None:
+        """Go on after a crash: the last keyframe and what odometry said then."""
+        self.last, self.odometry, self._kept_at = last, odometry, odometry
+        self._judged = -1
+
+    def pieces(self) -> list[Piece]:
+        """What the map in use is drawn of, in order."""
+        return self.archive.pieces(self.used)
+
     @property
     def drawing(self) -> bool:
         """Whether a new map is being drawn."""
@@ -212,7 +227,9 @@ class Backend:
 
     def _go_on_drawing(self, used: VoxelMap) -> Correction | None:
         if self._job is None:
-            if self._judged != self.closer.changes and not self.closer.busy and self._may_redraw():
+            self._idle = 0 if self.closer.busy else self._idle + 1
+            settled = self._idle >= self.settings.settled and self._judged != self.closer.changes
+            if settled and self._may_redraw():
                 self._judged = self.closer.changes
                 if self.outdated:
                     self.rebuild(used)
@@ -221,7 +238,8 @@ class Backend:
 
     def _may_redraw(self) -> bool:
         count = len(self.archive)
-        return self._redrawn + count <= self.settings.redraws * count
+        allowed = self.settings.redraws * count + self.settings.redraws_a_step * self._steps
+        return self._redrawn + count <= allowed
 
     def _draw(self, kept: Kept) -> None:
         """Let a map that is being rebuilt have a new scan, too."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter, deque
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -90,6 +90,21 @@ class LoopCloser:
         else:
             self._keys.append(key)
 
+    def restore(self, graph: PoseGraph, found: Sequence[Found]) -> None:
+        """Go on, right after the beginning, with a graph and what had been found in it."""
+        self.graph = graph
+        for key, anchor in graph.anchors.items():
+            self.tracks.put(key, anchor.pose)
+        for step in graph.steps:
+            self.tracks.go_on(step.start, step.end, step.motion)
+        for entry in found:
+            self.relations.add(entry, self.tracks)
+        refused = graph.refused
+        chosen = [entry.closure for entry in self._agreeing()]
+        self._stale = len(chosen) != len(graph.closures)
+        graph.close(chosen)
+        graph.leave_out(set() if self._stale else refused)
+
     @property
     def busy(self) -> bool:
         """Whether something waits to be begun."""
@@ -147,11 +162,14 @@ class LoopCloser:
 
     def _choose(self) -> None:
         """Close the loops that agree, if those are others than before."""
-        chosen = [self.found[place].closure for place in self.relations.consistent()]
+        chosen = [entry.closure for entry in self._agreeing()]
         if [id(closure) for closure in chosen] != [id(closure) for closure in self.graph.closures]:
             self.graph.close(chosen)
             self._candidates.clear()
             self._stale = True
+
+    def _agreeing(self) -> list[Found]:
+        return [self.found[place] for place in self.relations.consistent()]
 
     def _submap(self, key: Key) -> Submap | None:
         """Submaps change with the poses: they are held until the next optimisation."""

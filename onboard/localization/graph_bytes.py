@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Mapping
 from typing import Any
 
 import msgspec
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from onboard.core.crc import crc32c
 from onboard.core.errors import InputError
 from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.consistency import Found
 from onboard.localization.pose_graph import Anchor, Closure, DriftModel, Key, PoseGraph, Step
 
 _MAGIC = b"MARSGRA1"
@@ -73,6 +75,34 @@ def from_bytes(data: bytes) -> PoseGraph:
     graph.poses = dict(zip(_read_keys(stored.keys), poses, strict=True))
     graph.leave_out(set(stored.refused))
     return graph
+
+
+def found_rows(found: list[Found]) -> tuple[bytes, bytes]:
+    """Keys and numbers of found closures; `found_from` gives the same ones."""
+    keys = [key for entry in found for key in (entry.closure.older, entry.closure.newer)]
+    rows = [
+        np.append(_tied_row(entry.closure.motion, entry.closure.covariance), entry.reach_m) for entry in found
+    ]
+    return _keys(keys), _rows(rows)
+
+
+def found_from(keys: bytes, rows: bytes) -> list[Found]:
+    """Inverse of `found_rows`."""
+    read = _read(rows, _POSE + len(_UPPER[0]) + 1)
+    return [
+        Found(Closure(*ends, _pose(row), _symmetric(row[_POSE:-1])), float(row[-1]))
+        for ends, row in zip(_pairs(keys), read, strict=True)
+    ]
+
+
+def pose_rows(poses: Mapping[Key, Pose]) -> tuple[bytes, bytes]:
+    """Keys and poses as bytes; `poses_from` gives the same ones in this order."""
+    return _keys(list(poses)), _rows([_pose_row(pose) for pose in poses.values()])
+
+
+def poses_from(keys: bytes, rows: bytes) -> dict[Key, Pose]:
+    """Inverse of `pose_rows`."""
+    return dict(zip(_read_keys(keys), [_pose(row) for row in _read(rows, _POSE)], strict=True))
 
 
 def _keys(keys: list[Key]) -> bytes:

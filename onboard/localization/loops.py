@@ -62,7 +62,7 @@ class Verified:
 class Refusals:
     """Loops looked at in vain: their neighbours are passed over, more of them after every further one."""
 
-    def __init__(self, beside: int = 4, least: int = 2, most: int = 12) -> None:
+    def __init__(self, beside: int = 3, least: int = 1, most: int = 6) -> None:
         """Neighbours: `beside` keyframes about the older one, `least` to `most` about the newer one."""
         self._beside, self._least, self._most = beside, least, most
         self._kept: deque[tuple[Candidate, int]] = deque(maxlen=200)
@@ -128,8 +128,7 @@ def _apart(graph: PoseGraph, ranked: list[Candidate], settings: LoopSettings) ->
 
 def _places_apart(graph: PoseGraph, a: Candidate, b: Candidate) -> float:
     """Metres between the keyframes that are not shared."""
-    ends = [(a.older, b.older), (a.newer, b.newer)]
-    return max(float(np.linalg.norm(graph.poses[i].position - graph.poses[j].position)) for i, j in ends)
+    return max(graph.apart_m(a.older, b.older), graph.apart_m(a.newer, b.newer))
 
 
 def submap_of(graph: PoseGraph, key: Key, scan_of: ScanOf, settings: SubmapSettings) -> Submap | None:
@@ -147,16 +146,18 @@ def submap_of(graph: PoseGraph, key: Key, scan_of: ScanOf, settings: SubmapSetti
 
 
 def _along(graph: PoseGraph, key: Key, direction: int, settings: SubmapSettings) -> list[Key]:
-    """Keyframes of the same robot on one side of `key`, up to the half length."""
+    """Keyframes of the same robot on one side of `key`, up to the half length, spaced."""
     robot, sequence = key
     found: list[Key] = []
+    last = key
     walked_m = 0.0
     while (following := (robot, sequence + direction)) in graph.poses:
-        step = graph.poses[following].position - graph.poses[robot, sequence].position
-        walked_m += float(np.linalg.norm(step))
+        walked_m += graph.apart_m((robot, sequence), following)
         if walked_m > settings.half_length_m:
             break
-        found.append(following)
+        if graph.apart_m(last, following) >= settings.spacing_m:
+            found.append(following)
+            last = following
         sequence += direction
     return found
 

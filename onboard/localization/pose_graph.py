@@ -196,6 +196,10 @@ class PoseGraph:
         """Pose of keyframe `end` seen from `start`, as estimated."""
         return self.poses[start].inverse().compose(self.poses[end])
 
+    def apart_m(self, a: Key, b: Key) -> float:
+        """Distance between two keyframes, as estimated."""
+        return float(np.linalg.norm(self.poses[a].position - self.poses[b].position))
+
     def _firm(self, numbers: Mapping[Key, int]) -> tuple[gtsam.NonlinearFactorGraph, gtsam.Values]:
         """Anchors and steps, and where to begin."""
         graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()

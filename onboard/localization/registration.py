@@ -11,7 +11,7 @@ import small_gicp
 
 from onboard.core.geometry import FloatArray, Pose
 from onboard.localization.lie import between
-from onboard.localization.search import SearchSettings, Start, search
+from onboard.localization.search import SearchSettings, Start, searching
 from onboard.localization.submaps import VOXEL_M, Submap
 from onboard.mapping.blocks import FREE, OCCUPIED
 from onboard.mapping.voxel_map import VoxelMap
@@ -134,7 +134,8 @@ def registering(
         return Registration(Reason.FEW_POINTS)
     starts = [Start(guess, 1.0)]
     if reach_m > settings.alone_m:
-        starts = search(target.voxels, source.points, guess, reach_m, turn_rad, settings.search)
+        voxels, points = target.voxels, source.points
+        starts = yield from searching(voxels, points, guess, reach_m, turn_rad, settings.search)
         yield
     starts = [s for s in starts if _overlap(target, source, s.pose) >= settings.start_overlap]
     if not starts:

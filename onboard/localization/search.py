@@ -6,6 +6,7 @@ surface of the other submap. Unlike a descent it cannot be caught half way, and 
 
 from __future__ import annotations
 
+from collections.abc import Generator
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,7 @@ from onboard.mapping.voxel_map import VoxelMap
 from onboard.mapping.window import DistanceWindow
 
 _CAP_M = 1.0
+_SHIFTS_A_PIECE = 40_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,17 +47,17 @@ class Start:
     score: float
 
 
-def search(
+def searching(
     known: VoxelMap,
     points: FloatArray,
     guess: Pose,
     reach_m: float,
     turn_rad: float,
     settings: SearchSettings,
-) -> list[Start]:
+) -> Generator[None, None, list[Start]]:
     """The poses within reach of `guess` at which `points` (N, 3) lie best on surfaces of `known`, best first.
 
-    Headings turn about the vertical of `known`'s frame.
+    Headings turn about the vertical of `known`'s frame. A piece of the work at a `next`.
     """
     near = points[np.linalg.norm(points, axis=1) <= settings.range_m]
     few = near[:: max(1, len(near) // settings.points)]
@@ -64,8 +66,13 @@ def search(
     turns = np.linspace(-turn_rad, turn_rad, 2 * half + 1) if half else np.zeros(1)
     poses = [_turned(guess, float(turn)) for turn in turns]
     field = _Field.around(known, guess.position, settings.range_m, shifts)
-    scores = np.stack([field.score(few @ pose.rotation.T + pose.position, shifts) for pose in poses])
-    return _best(scores, poses, np.asarray(shifts * known.voxel_m, dtype=np.float64), settings)
+    yield
+    scores = []
+    for pose in poses:
+        scores.append(field.score(few @ pose.rotation.T + pose.position, shifts))
+        if len(scores) * len(shifts) % _SHIFTS_A_PIECE < len(shifts):
+            yield
+    return _best(np.stack(scores), poses, np.asarray(shifts * known.voxel_m, dtype=np.float64), settings)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,6 +22,8 @@ class SubmapSettings:
 
     half_length_m: float = 5.0
     """Keyframes up to so far along the way before and after take part."""
+    spacing_m: float = 1.0
+    """... if they are at least so far apart: turning on the spot adds nothing but work."""
     range_m: float = 20.0
     point_m: float = 0.2
     """One point per cube of this size."""

@@ -84,8 +84,10 @@ def test_more_closures_that_contradict_do_not_win_when_nothing_confirms_them() -
 
 def test_closures_of_another_robot_neither_confirm_nor_contradict() -> None:
     tracks, _ = track()
-    tracks.put((2, 0), 0.0, Pose.identity())
-    tracks.put((2, 1), 10.0, Pose.from_rpy(np.array([10.0, 0.0, 0.0])))
+    tracks.put((2, 1), Pose.from_rpy(np.array([10.0, 0.0, 0.0])))
+    tracks.put((2, 0), Pose.identity())
+    assert tracks.way((2, 0), (2, 1)) is not None
+    assert tracks.way((2, 0), (2, 1))[1] == pytest.approx(10.0)  # type: ignore[index]
     other = Found(Closure((2, 0), (1, 60), Pose.identity(), np.eye(6)), 1.0)
     assert agreement(found(60).closure, other.closure, tracks, DRIFT, SETTINGS) is None
     assert consistent([found(60, reach_m=1.0), other], tracks, DRIFT, SETTINGS) == [0, 1]

@@ -17,8 +17,9 @@ from onboard.localization.corrections import (
     moved_far,
 )
 from onboard.localization.lie import between
+from onboard.robot.corrections import from_message, to_message
 from onboard.sharing.frames import pack, unpack
-from onboard.sharing.messages import CorrectionKnot, Corrections
+from onboard.sharing.messages import Corrections
 
 
 def sent(count: int, first: int = 0) -> dict[int, Pose]:
@@ -67,20 +68,11 @@ def test_a_smooth_correction_of_a_mission_takes_a_few_hundred_bytes() -> None:
     after = moved(before, np.sin(3 * share) * [2.5, -1.0, 0.3, 0.05])
     told = correction_of(1, 4, before, after, 1000)
     assert worst(told, before, after)[0] < 0.04
-    frame = pack(message_of(told), 1, 2)
+    frame = pack(to_message(told), 1, 2)
     assert len(frame) < 400
-    assert correction_from(unpack(frame).message) == told  # rounded to what the air carries
-
-
-def message_of(told: Correction) -> Corrections:
-    knots = tuple(CorrectionKnot(k.sequence, k.shift_m, k.turn_rad) for k in told.knots)
-    return Corrections(told.source, told.revision, knots)
-
-
-def correction_from(message: object) -> Correction:
+    message = unpack(frame).message
     assert isinstance(message, Corrections)
-    knots = tuple(Knot(k.sequence, k.shift_m, k.turn_rad) for k in message.knots)
-    return Correction(message.source, message.revision, knots)
+    assert from_message(message) == told  # rounded to what the air carries
 
 
 def test_with_too_many_knots_it_becomes_coarser() -> None:
