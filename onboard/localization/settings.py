@@ -16,6 +16,8 @@ class MotionSettings:
     first_speed_m_s: float = 2.0
     first_turn_rad_s: float = 1.0
     """What the first scan may move with."""
+    calm_s: float = 12.0
+    """Velocities that nothing tells fade in about this time."""
     blind_s: float = 2.0
     """After a longer gap the body is taken to stand, as uncertain as after this time."""
 
@@ -57,7 +59,7 @@ class OdometrySettings:
     """Points are thinned to one per cube of this size ..."""
     points: int = 4000
     """... of which so many at most are registered ..."""
-    inserted: int = 12000
+    inserted: int = 20000
     """... and so many at most go into the map."""
     min_range_m: float = 0.4
     max_range_m: float = 60.0
@@ -67,11 +69,23 @@ class OdometrySettings:
     key_rotation_rad: float = 0.2
     """After so much motion a scan goes into the map, and the first scans do anyway."""
     first_scans: int = 5
+    first_cell_m: float = 0.1
+    """The first scans are thinned less for the map: there are no others to fill it."""
     min_points: int = 60
     min_matched: float = 0.2
     """Share of the points that must meet a known plane ..."""
     min_fitting: float = 0.6
     """... and share of those that must lie on it."""
+    min_inlier_ratio: float = 0.3
+    """Share of all points that must lie on known planes ..."""
+    min_vague_ratio: float = 0.5
+    """... and where the start was vague ..."""
+    vague_m: float = 0.3
+    """... that is, off by more than this (one sigma)."""
+    poor: float = 0.8
+    """With less than this share of the usual inliers a second search looks for a better fit ..."""
+    better: float = 1.2
+    """... which has so many times the first one's inliers."""
     max_speed_m_s: float = 15.0
     max_correction_m: float = 3.0
     """Farther than this from where the search started a match is a look-alike."""

@@ -59,11 +59,6 @@ class Thinned(NamedTuple):
         rows = np.arange(count) * len(self.points) // count
         return Thinned(self.points[rows], self.offsets_s[rows], self.counts[rows])
 
-    def moved(self, pose: Pose, twist: FloatArray) -> FloatArray:
-        """(n, 3) points seen from `pose`, in the frame of that, after the rest of the sweep's motion `twist`."""
-        shift = self.offsets_s[:, None] * (twist[:3] + np.cross(twist[3:], self.points))
-        return (self.points + shift) @ pose.rotation.T + pose.position
-
 
 class Thinner:
     """Holds the scratch table, so that no scan pays for it."""
