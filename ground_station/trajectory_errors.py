@@ -58,9 +58,7 @@ def compare_trajectories(
     turned = rotation_angle(start.compose(estimated[-1]).quaternion, true[-1].quaternion)
     path_m = float(along[-1])
     ate_m = absolute_error(ours, theirs)
-    return TrajectoryErrors(
-        path_m, ate_m, delta_m, rpe_m, rpe_rad, float(off[-1]), turned, float(off.max())
-    )
+    return TrajectoryErrors(path_m, ate_m, delta_m, rpe_m, rpe_rad, float(off[-1]), turned, float(off.max()))
 
 
 def absolute_error(ours: FloatArray, theirs: FloatArray) -> float:

@@ -36,7 +36,14 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--worlds", nargs="+", default=list(PLACES), choices=list(PLACES), metavar="WORLD")
     add("--sensors", nargs="+", default=list(SENSORS), choices=list(SENSORS), metavar="SENSOR")
     add("--programs", nargs="+", default=programs, choices=programs, metavar="PROGRAM")
-    add("--rates", nargs="+", type=float, default=[10.0, 2.0], metavar="HZ", help="10: sweeping; others: at once")
+    add(
+        "--rates",
+        nargs="+",
+        type=float,
+        default=[10.0, 2.0],
+        metavar="HZ",
+        help="10: sweeping; others: at once",
+    )
     add("--scans", type=int, help="only so many scans of each sequence")
     add("--renew", action="store_true", help="measure again what was measured before")
     return parser.parse_args(arguments)
@@ -65,10 +72,7 @@ def measured(options: argparse.Namespace) -> Iterator[dict[str, object]]:
             result = _measure(plan, program, options)
             path.write_text(json.dumps(result.record(), indent=1), encoding="utf-8")
         record = json.loads(path.read_text(encoding="utf-8"))
-        say(
-            f"{plan.name} {program}: drift {100 * record['drift']:.3f} %, "
-            f"CPU p99 {record['ms_p99']:.1f} ms"
-        )
+        say(f"{plan.name} {program}: drift {100 * record['drift']:.3f} %, CPU p99 {record['ms_p99']:.1f} ms")
         yield record
 
 

@@ -44,9 +44,7 @@ def increments(track: Track, errors: BaseErrors, rng: np.random.Generator) -> li
         step[:3] += rng.normal(0.0, errors.noise_m / np.sqrt(RATE_HZ), 3)
         step[3:] += bias + rng.normal(0.0, errors.noise_rad / np.sqrt(RATE_HZ), 3)
         motion = retract(Pose.identity(), step)
-        told.append(
-            Increment(float(stamps[index]), float(stamps[index + 1]), motion, _covariance(errors))
-        )
+        told.append(Increment(float(stamps[index]), float(stamps[index + 1]), motion, _covariance(errors)))
     return told
 
 

@@ -163,8 +163,7 @@ class Odometry:
         found = self._aligner.align(thinned.few(self.settings.points), prior)
         match = _Match(prior, thinned, found, self._refusal(belief, prior, found))
         jumped = self._jumped(prior, found)
-        told = not found.conditioning.weak
-        poor = told and found.inlier_ratio < self.settings.poor * self._usual_ratio
+        poor = not self._weak and found.inlier_ratio < self.settings.poor * self._usual_ratio
         if not match.refusal and not jumped and not poor:
             return match
         start = replace(guess(belief, prior.stamp_s, self.settings.motion), twist=belief.twist)
@@ -209,6 +208,7 @@ class Odometry:
             self.scale.watch(told.motion, motion)
         still = sweep.still(self._belief.twist)
         self._lost_scans = 0
+        self._weak = found.conditioning.weak > 0
         usual = self._usual_ratio or found.inlier_ratio
         self._usual_ratio = usual + USUAL_GAIN * (found.inlier_ratio - usual)
         self._last = match.thinned.few(self.settings.inserted).points.astype(np.float32)
@@ -258,6 +258,7 @@ class Odometry:
         self._map = PlaneMap(self.settings.max_cells)
         self._aligner = Aligner(self._map, self.settings.alignment, self.settings.motion)
         self._key_pose, self._key_scans, self._usual_ratio = _GRID, 0, 0.0
+        self._weak = False
 
     def _wants(self, pose: Pose) -> bool:
         """Whether a scan at this pose goes into the map."""

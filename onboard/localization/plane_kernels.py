@@ -88,9 +88,7 @@ def distances(keys: NDArray[np.int64], count: int, edges: FloatArray, centre: Fl
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _facing(
-    row: int, vx: float, vy: float, vz: float, sums: Float32Array, planes: Float32Array
-) -> float:
+def _facing(row: int, vx: float, vy: float, vz: float, sums: Float32Array, planes: Float32Array) -> float:
     """Cosine between the direction to the viewer and the side from which the row was seen so far."""
     if planes[row, 10] > 0:
         return vx * planes[row, 3] + vy * planes[row, 4] + vz * planes[row, 5]
@@ -173,9 +171,7 @@ def insert(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add(
-    sums: Float32Array, x: float, y: float, z: float, vx: float, vy: float, vz: float
-) -> None:
+def _add(sums: Float32Array, x: float, y: float, z: float, vx: float, vy: float, vz: float) -> None:
     sums[0] += np.float32(1.0)
     sums[1] += np.float32(x)
     sums[2] += np.float32(y)

@@ -47,7 +47,15 @@ class PlaneMap:
         """Add points (N, 3), seen from `eye` (3,); both in the grid's frame."""
         self._reserve(len(points) * len(LEVELS_M))
         self.count = kernels.insert(
-            points, eye, np.array(LEVELS_M), self.table, self.keys, self.other, self.sums, self.planes, self.count
+            points,
+            eye,
+            np.array(LEVELS_M),
+            self.table,
+            self.keys,
+            self.other,
+            self.sums,
+            self.planes,
+            self.count,
         )
 
     def _reserve(self, rows: int) -> None:

@@ -29,9 +29,7 @@ class Sweep(NamedTuple):
         """Without offsets all points were measured at the stamp."""
         finite = np.isfinite(points).all(axis=1)
         times = np.zeros(len(points)) if offsets_s is None else offsets_s
-        return cls(
-            np.ascontiguousarray(points[finite], dtype=np.float32), times[finite].astype(np.float32)
-        )
+        return cls(np.ascontiguousarray(points[finite], dtype=np.float32), times[finite].astype(np.float32))
 
     def still(self, twist: FloatArray) -> Float32Array:
         """(N, 3) points as seen from the sensor at the stamp if it moves with `twist` (6,)."""
@@ -80,7 +78,16 @@ class Thinner:
         sums = np.zeros((min(len(points), len(self._keys) // 2), 5))
         low, high = range_m
         count = _thin(
-            points, offsets_s, 1.0 / cell_m, low**2, high**2, self._keys, self._rows, self._used, self._turn, sums
+            points,
+            offsets_s,
+            1.0 / cell_m,
+            low**2,
+            high**2,
+            self._keys,
+            self._rows,
+            self._used,
+            self._turn,
+            sums,
         )
         sums = sums[:count]
         means = sums[:, :4] / sums[:, 4:]

@@ -112,6 +112,4 @@ def offsets(poses: list[Pose], found: list[Estimate]) -> NDArray[np.float64]:
     """(N,) position errors in metres of every step."""
     start = poses[0].inverse()
     true = [start.compose(pose) for pose in poses]
-    return np.array(
-        [np.linalg.norm(a.position - b.pose.position) for a, b in zip(true, found, strict=True)]
-    )
+    return np.array([np.linalg.norm(a.position - b.pose.position) for a, b in zip(true, found, strict=True)])

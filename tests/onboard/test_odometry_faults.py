@@ -32,8 +32,8 @@ def room() -> Scene:
 
 @pytest.fixture(scope="module")
 def walk() -> list[Pose]:
-    """8 m past lockers, then 26 m along bare walls."""
-    return straight(140, STEP_M)
+    """8 m past lockers, then 19 m along bare walls."""
+    return straight(110, STEP_M)
 
 
 @pytest.fixture(scope="module")
@@ -48,9 +48,14 @@ def test_a_bare_corridor_is_told_before_the_error_is_large(
     off = offsets(walk, found)
     first = next(i for i, estimate in enumerate(found) if len(estimate.degenerate))
     assert off[: first + 1].max() < 0.3
-    blind = [estimate for estimate in found[80:] if len(estimate.degenerate)]
-    assert len(blind) > 50
-    along = np.array([np.abs(estimate.degenerate[0][:3] / np.linalg.norm(estimate.degenerate[0][:3])) for estimate in blind])
+    blind = [estimate for estimate in found[70:] if len(estimate.degenerate)]
+    assert len(blind) > 30
+    along = np.array(
+        [
+            np.abs(estimate.degenerate[0][:3] / np.linalg.norm(estimate.degenerate[0][:3]))
+            for estimate in blind
+        ]
+    )
     assert np.median(along[:, 0]) > 0.95  # the corridor's axis
     furnished = found[1:28]
     assert not any(len(estimate.degenerate) for estimate in furnished)
