@@ -22,8 +22,8 @@ TOLERANCE = 0.1
 class TrajectoryErrors:
     """Root mean squares in metres, except the final values, which are those of the last pose.
 
-    `rpe_m` is over ways of `delta_m`; `drift` and `worst_drift` are the last and the largest position error over
-    the length of the whole way, both trajectories laid on each other at their first poses.
+    `rpe_m` is over ways of `delta_m`; `drift` and `worst_drift` are the last and the largest position error
+    over the length of the whole way, both trajectories laid on each other at their first poses.
     """
 
     path_m: float

@@ -1,4 +1,4 @@
-"""The programs that are compared, behind one interface: a sweep in, the pose of the sensor at its stamp out."""
+"""The programs that are compared, behind one interface: a sweep in, the sensor's pose at its stamp out."""
 
 from __future__ import annotations
 

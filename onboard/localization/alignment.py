@@ -18,12 +18,13 @@ from onboard.localization.thinning import Thinned
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Outcome: `pose` of the scan at its stamp in the grid's frame, and `twist` (6,) on top of the predicted one.
+    """Outcome: `pose` of the scan at its stamp in the grid's frame, and `twist` (6,) on top of the predicted
+    one.
 
-    `covariance` (12, 12) of pose and twist relative to the planes, `blind` (6, 6) its part along directions of
-    the pose that the planes do not tell. `matched` points met a plane, `fitting` of them lie within three
-    standard deviations of it; `mean_square` is that of the residuals in standard deviations, those beyond three
-    taken as three.
+    `covariance` (12, 12) of pose and twist relative to the planes, `blind` (6, 6) its part along directions
+    of the pose that the planes do not tell. `matched` points met a plane, `fitting` of them lie within three
+    standard deviations of it; `mean_square` is that of the residuals in standard deviations, those beyond
+    three taken as three.
     """
 
     pose: Pose
@@ -74,8 +75,8 @@ class Aligner:
     def align(self, thinned: Thinned, prior: Prior, wide: bool = False) -> Alignment:
         """Maximise the probability of pose and twist by Gauss-Newton, beginning at the prior's pose.
 
-        Along directions that the planes do not tell the pose stays that of the prior. `wide` searches around a
-        start that is a guess.
+        Along directions that the planes do not tell the pose stays that of the prior. `wide` searches around
+        a start that is a guess.
         """
         pose, twist = prior.pose, np.zeros(6)
         loose = self.settings.wide_m if wide else self.settings.loose_m

@@ -13,9 +13,9 @@ EVERYTHING = np.eye(6)
 class Drift:
     """Covariance (6, 6) of the map in view relative to the first scan, in the sensor's frame.
 
-    Registration errs anew with every stretch of way after which the map in view is another one. What went into
-    the map while some directions were not told is off along those, and with it all that is registered to it
-    later. Ways told with a wrong scale err all in the same sense: they add up before they are squared.
+    Registration errs anew with every stretch of way after which the map in view is another one. What went
+    into the map while some directions were not told is off along those, and with it all that is registered
+    to it later. Ways told with a wrong scale err all in the same sense: they add up before they are squared.
     """
 
     def __init__(self, covariance: FloatArray | None = None) -> None:

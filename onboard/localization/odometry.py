@@ -30,13 +30,14 @@ _GRID = Pose.from_matrix(np.block([[GRID_TURN, np.zeros((3, 1))], [np.zeros((1, 
 class Estimate:
     """Outcome of one step.
 
-    `pose` is the sensor in the odometry frame (the first scan's sensor frame) at the scan's stamp, `twist` (6,)
-    its velocity and turn rate in its own frame. `covariance` (6, 6) of the small motion (metres, radians, in the
-    sensor's frame) from the true pose relative to the first scan. `degenerate` (k, 6): directions of such
-    motions in which the scan tells nothing and the pose is that of the prediction. `ok` false: the scan did not
-    fit, for the `reason` given; the pose is the prediction, or the last one where nothing was predicted. `jump`:
-    the pose is not where prediction or motion led to. `points` are the scan's finite points, motion within the
-    sweep taken out; `inlier_ratio` is the share of its thinned points that lie on a plane of the map.
+    `pose` is the sensor in the odometry frame (the first scan's sensor frame) at the scan's stamp, `twist`
+    (6,) its velocity and turn rate in its own frame. `covariance` (6, 6) of the small motion (metres,
+    radians, in the sensor's frame) from the true pose relative to the first scan. `degenerate` (k, 6):
+    directions of such motions in which the scan tells nothing and the pose is that of the prediction. `ok`
+    false: the scan did not fit, for the `reason` given; the pose is the prediction, or the last one where
+    nothing was predicted. `jump`: the pose is not where prediction or motion led to. `points` are the scan's
+    finite points, motion within the sweep taken out; `inlier_ratio` is the share of its thinned points that
+    lie on a plane of the map.
     """
 
     stamp_s: float
@@ -82,8 +83,8 @@ class Odometry:
     def restored(cls, data: bytes, settings: OdometrySettings | None = None) -> Odometry:
         """Go on in the frame of an odometry that was saved: where it was, its last scan the map.
 
-        If the next scan does not fit that one, the map begins anew there, with a covariance for the time between.
-        Raises InputError for damaged data.
+        If the next scan does not fit that one, the map begins anew there, with a covariance for the time
+        between. Raises InputError for damaged data.
         """
         state = OdometryState.from_bytes(data)
         odometry = cls(settings)
@@ -120,9 +121,9 @@ class Odometry:
         """Register a scan.
 
         `points` (N, 3) in metres in the sensor frame, rows with NaN are left out; `offsets_s` (N,) seconds of
-        every point relative to `stamp_s`, None for a scan taken at once. `prediction`: what other sensors tell
-        of the motion since the step before; needed where the sensor may move in an unforeseen way by more than
-        about 0.5 m or 20 degrees between scans.
+        every point relative to `stamp_s`, None for a scan taken at once. `prediction`: what other sensors
+        tell of the motion since the step before; needed where the sensor may move in an unforeseen way by
+        more than about 0.5 m or 20 degrees between scans.
         """
         sweep = Sweep.of(points, offsets_s)
         if self._belief is None:
@@ -159,7 +160,8 @@ class Odometry:
         return self._thin(still, sweep.offsets_s, cell_m or self.settings.cell_m, limits)
 
     def _registered(self, belief: Belief, prior: Prior, thinned: Thinned, sweep: Sweep) -> _Match:
-        """From the prediction; where that fails, leads far away or fits poorly, from the last pose as well."""
+        """From the prediction; where that fails, leads far away or fits poorly, from the last pose as
+        well."""
         found = self._aligner.align(thinned.few(self.settings.points), prior)
         match = _Match(prior, thinned, found, self._refusal(belief, prior, found))
         jumped = self._jumped(prior, found)

@@ -16,7 +16,8 @@ from onboard.core.geometry import FloatArray
 Float32Array = NDArray[np.float32]
 SUMS, PLANE = 16, 12
 FULL = 100.0
-"""So many points settle a plane: later ones do not move it, so that it does not follow the odometry's drift."""
+"""So many points settle a plane: later ones do not move it, so that it does not follow the odometry's
+drift."""
 REFIT = 1.25
 MIN_POINTS = 6.0
 ROUGHNESS = 0.06

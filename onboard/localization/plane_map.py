@@ -69,7 +69,8 @@ class PlaneMap:
             self._index(1 << (3 * need).bit_length())
 
     def forget(self, centre: FloatArray, radius_m: float) -> None:
-        """Drop the cubes farther than `radius_m` from `centre` (3,), and farther ones until few enough are left.
+        """Drop the cubes farther than `radius_m` from `centre` (3,), and farther ones until few enough are
+        left.
 
         Both sides of a wall stay or go together.
         """

@@ -60,8 +60,8 @@ class Prior:
 def steady(belief: Belief, stamp_s: float, settings: MotionSettings) -> Prior:
     """At a twist that fades slowly, with white noise on the acceleration; after a long gap standing.
 
-    Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001), section 6.2.2,
-    in the sensor's frame.
+    Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001), section
+    6.2.2, in the sensor's frame.
     """
     elapsed_s = stamp_s - belief.stamp_s
     held_s = min(elapsed_s, settings.blind_s)

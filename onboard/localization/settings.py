@@ -10,7 +10,8 @@ class MotionSettings:
     """How a body without other sensors moves: white noise on its acceleration."""
 
     acceleration: float = 0.8
-    """Square root of the noise density, m/s^2/sqrt(Hz): in 0.1 s the velocity changes by 0.25 m/s (1 sigma)."""
+    """Square root of the noise density, m/s^2/sqrt(Hz): in 0.1 s the velocity changes by 0.25 m/s (1
+    sigma)."""
     turn_acceleration: float = 1.2
     """The same of the turn rate, rad/s^2/sqrt(Hz)."""
     first_speed_m_s: float = 2.0
@@ -31,7 +32,8 @@ class AlignmentSettings:
     floor_m: float = 0.005
     """What no residual is trusted below: edges, curvature, the motion's bends within a sweep."""
     loose_m: tuple[float, ...] = (0.15, 0.1, 0.06, 0.03, 0.0)
-    """What is added to every residual's standard deviation in the first, second, ... pass; the last one stays."""
+    """What is added to every residual's standard deviation in the first, second, ... pass; the last one
+    stays."""
     wide_m: tuple[float, ...] = (0.6, 0.4, 0.25, 0.15, 0.1, 0.06, 0.03, 0.0)
     """The same where the start is a guess."""
     gate_m: float = 0.15
@@ -53,7 +55,8 @@ class AlignmentSettings:
 
 @dataclass(frozen=True, slots=True)
 class OdometrySettings:
-    """The defaults suit scans of a walking-pace robot in and out of doors, 10 a second or 2 with a prediction."""
+    """The defaults suit scans of a walking-pace robot in and out of doors, 10 a second or 2 with a
+    prediction."""
 
     cell_m: float = 0.2
     """Points are thinned to one per cube of this size ..."""
@@ -95,6 +98,7 @@ class OdometrySettings:
     give_up: int = 10
     """After so many lost scans in a row the map begins anew where the robot is thought to be."""
     renewal_m: float = 8.0
-    """After so much way the map in view has new, independent errors: how the covariance grows with the way."""
+    """After so much way the map in view has new, independent errors: how the covariance grows with the
+    way."""
     alignment: AlignmentSettings = AlignmentSettings()
     motion: MotionSettings = MotionSettings()

@@ -72,7 +72,8 @@ class Thinner:
     ) -> Thinned:
         """One mean point per cube of `cell_m` of the `points` (N, 3) whose range lies within `range_m`.
 
-        At most half as many cubes as the table has slots are kept; later points of further cubes are left out.
+        At most half as many cubes as the table has slots are kept; later points of further cubes are left
+        out.
         """
         self._turn += 1
         sums = np.zeros((min(len(points), len(self._keys) // 2), 5))

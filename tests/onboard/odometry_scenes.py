@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 import trimesh
@@ -81,11 +82,12 @@ def scans(room: Scene, poses: list[Pose], model: str) -> list[Points]:
 
 
 def told(poses: list[Pose], scale: float, seed: int = 3) -> list[RelativeMotion | None]:
-    """Motion from pose to pose as a base with a wrong scale and some noise tells it; nothing for the first."""
+    """Motion from pose to pose as a base with a wrong scale and some noise tells it; nothing for the
+    first."""
     rng = np.random.default_rng(seed)
     deviations = np.array([0.002] * 3 + [0.001] * 3)
     motions: list[RelativeMotion | None] = [None]
-    for start, end in zip(poses[:-1], poses[1:], strict=True):
+    for start, end in pairwise(poses):
         motion = start.inverse().compose(end)
         scaled = Pose(motion.position * (1 + scale), motion.quaternion)
         noisy = retract(scaled, deviations * rng.standard_normal(6))

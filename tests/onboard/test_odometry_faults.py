@@ -79,7 +79,8 @@ def test_a_base_with_a_wrong_scale_carries_through_the_corridor(
 def test_a_prediction_that_slipped_is_overruled(
     room: Scene, slip_m: float, every: int, jumps: list[int]
 ) -> None:
-    """At 10 Hz it contradicts the motion before and is not believed; at 2 Hz it is, until the scan says no."""
+    """At 10 Hz it contradicts the motion before and is not believed; at 2 Hz it is, until the scan says
+    no."""
     poses = loop(20 * every)[::every]
     motions = told(poses, 0.0)
     slipped = motions[12]

@@ -1,4 +1,4 @@
-"""The parts of the odometry, each by itself: motions, predictions, scale, drift, state, planes, degeneracy."""
+"""The parts of the odometry: motions, predictions, scale, drift, state, planes, degeneracy."""
 
 from __future__ import annotations
 
@@ -228,18 +228,18 @@ def test_a_state_with_impossible_contents_is_refused(body: bytes) -> None:
         OdometryState.from_bytes(head + packed)
 
 
-def wall(rng: np.random.Generator, at: float, side: float, count: int = 4000) -> FloatArray:
-    """Points on a wall across x, seen from the side."""
+def wall(rng: np.random.Generator, at: float, count: int = 4000) -> FloatArray:
+    """Points on a wall across x."""
     points = rng.uniform(-2, 2, size=(count, 3))
     points[:, 0] = at + rng.normal(scale=0.01, size=count)
-    return np.asarray(points + [0, 0, side * 0.0])
+    return np.asarray(points)
 
 
 def test_a_thin_wall_has_two_faces() -> None:
     rng = np.random.default_rng(4)
     plane_map = PlaneMap(100_000)
-    plane_map.insert(wall(rng, 0.02, -1.0), np.array([-5.0, 0, 0]))
-    plane_map.insert(wall(rng, 0.12, 1.0), np.array([5.0, 0, 0]))
+    plane_map.insert(wall(rng, 0.02), np.array([-5.0, 0, 0]))
+    plane_map.insert(wall(rng, 0.12), np.array([5.0, 0, 0]))
     planes = plane_map.planes[: plane_map.count]
     flat = planes[planes[:, 10] > 0]
     normals = flat[:, 3]
@@ -251,7 +251,7 @@ def test_far_cubes_are_forgotten_and_near_ones_found() -> None:
     rng = np.random.default_rng(5)
     plane_map = PlaneMap(4000)
     for at in np.arange(0.0, 40.0, 2.0):
-        points = rng.uniform(-1, 1, size=(3000, 3)) + [at, 0, 0]
+        points = rng.uniform(-1, 1, size=(3000, 3)) + np.array([at, 0, 0])
         plane_map.insert(points, np.array([at, 0, 5.0]))
         plane_map.forget(np.array([at, 0, 0]), 80.0)
     assert plane_map.count <= 2 * 4000
