@@ -119,7 +119,7 @@ def _headings(points: FloatArray) -> FloatArray:
     """Direction of the way at every point, radians, without jumps."""
     ahead = np.gradient(gaussian_filter1d(points[:, :2], 3.0, axis=0, mode="nearest"), axis=0)
     raw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    return gaussian_filter1d(raw, _HEADING_SMOOTHING_M / STEP_M, mode="nearest")
+    return np.asarray(gaussian_filter1d(raw, _HEADING_SMOOTHING_M / STEP_M, mode="nearest"))
 
 
 def _stamps(headings: FloatArray, gait: Gait) -> FloatArray:

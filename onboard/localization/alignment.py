@@ -15,6 +15,8 @@ from onboard.localization.prediction import Prior
 from onboard.localization.settings import AlignmentSettings, MotionSettings
 from onboard.localization.thinning import Thinned
 
+REST: FloatArray = np.zeros(6)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
@@ -78,7 +80,7 @@ class Aligner:
         Along directions that the planes do not tell the pose stays that of the prior. `wide` searches around
         a start that is a guess.
         """
-        pose, twist = prior.pose, np.zeros(6)
+        pose, twist = prior.pose, REST
         loose = self.settings.wide_m if wide else self.settings.loose_m
         known, rough = np.linalg.inv(prior.covariance), thinned.few(self.settings.rough_points)
         last = len(loose) - 1
@@ -90,9 +92,11 @@ class Aligner:
             offset = np.concatenate([between(prior.pose, pose), twist])
             allowed = np.kron(np.eye(2), state.kept)
             held = allowed.T @ (information + known) @ allowed
-            wanted = allowed @ np.linalg.solve(held, allowed.T @ (information @ offset - gradient))
+            wanted: FloatArray = allowed @ np.linalg.solve(
+                held, allowed.T @ (information @ offset - gradient)
+            )
             step = wanted - offset
-            pose, twist = retract(prior.pose, wanted[:6]), wanted[6:]
+            pose, twist = retract(prior.pose, wanted[:6]), np.asarray(wanted[6:], dtype=np.float64)
             if number >= last and self._still(step):
                 break
         free = np.kron(np.eye(2), state.free)

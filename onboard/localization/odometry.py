@@ -77,6 +77,7 @@ class Odometry:
         self._belief: Belief | None = None
         self._lost_scans = 0
         self._last = np.zeros((0, 3), dtype=np.float32)
+        self._usual_ratio = 0.0
         self._renew()
 
     @classmethod
@@ -259,8 +260,8 @@ class Odometry:
     def _renew(self) -> None:
         self._map = PlaneMap(self.settings.max_cells)
         self._aligner = Aligner(self._map, self.settings.alignment, self.settings.motion)
-        self._key_pose, self._key_scans, self._usual_ratio = _GRID, 0, 0.0
-        self._weak = False
+        self._key_pose, self._key_scans = _GRID, 0
+        self._usual_ratio, self._weak = 0.0, False
 
     def _wants(self, pose: Pose) -> bool:
         """Whether a scan at this pose goes into the map."""

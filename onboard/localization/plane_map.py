@@ -11,6 +11,8 @@ first scan would otherwise lie along the borders of cubes.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +26,7 @@ GRID_TURN = rotation_exp(np.array([0.31, -0.23, 0.47]))
 """From the odometry frame to the grid's."""
 _FIRST_ROWS = 1 << 14
 _GROWTH = 2
+Number = TypeVar("Number", bound=np.generic)
 
 
 class PlaneMap:
@@ -93,7 +96,7 @@ class PlaneMap:
         self._index(len(self.table))
 
 
-def _longer(array: NDArray[np.generic], size: int) -> NDArray[np.generic]:
+def _longer(array: NDArray[Number], size: int) -> NDArray[Number]:
     longer = np.zeros((size, *array.shape[1:]), dtype=array.dtype)
     longer[: len(array)] = array
     return longer

@@ -79,11 +79,11 @@ class OdometrySettings:
     """Share of the points that must meet a known plane ..."""
     min_fitting: float = 0.6
     """... and share of those that must lie on it."""
-    min_inlier_ratio: float = 0.3
+    min_inlier_ratio: float = 0.25
     """Share of all points that must lie on known planes ..."""
     min_vague_ratio: float = 0.5
     """... and where the start was vague ..."""
-    vague_m: float = 0.3
+    vague_m: float = 0.6
     """... that is, off by more than this (one sigma)."""
     poor: float = 0.8
     """With less than this share of the usual inliers a second search looks for a better fit ..."""

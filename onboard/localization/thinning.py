@@ -40,7 +40,8 @@ class Sweep(NamedTuple):
         times = low + spacing_s * np.arange(KNOTS)
         poses = [retract(Pose.identity(), twist_motion(twist, float(time_s))) for time_s in times]
         knots = np.array([pose.matrix()[:3] for pose in poses])
-        return undistort(self.points, self.offsets_s, low, spacing_s, knots)
+        moved: Float32Array = undistort(self.points, self.offsets_s, low, spacing_s, knots)
+        return moved
 
 
 class Thinned(NamedTuple):
