@@ -27,6 +27,11 @@ Written by `python -m benchmarks.missions`; everything between markers is replac
 
 <!-- exploration:begin -->
 <!-- exploration:end -->
+
+## Odometry
+
+<!-- odometry:begin -->
+<!-- odometry:end -->
 """
 COLUMNS = (
     "world",

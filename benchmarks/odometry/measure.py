@@ -14,8 +14,9 @@ from benchmarks.odometry.peers import TRACKERS
 from benchmarks.odometry.sequences import Sequence
 from ground_station.trajectory_errors import TrajectoryErrors, compare_trajectories
 from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.estimate import Estimate
 from onboard.localization.lie import between
-from onboard.localization.odometry import Estimate, Odometry
+from onboard.localization.odometry import Odometry
 from onboard.localization.prediction import RelativeMotion
 from onboard.localization.reckoning import Increment, Reckoning
 

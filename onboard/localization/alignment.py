@@ -92,11 +92,10 @@ class Aligner:
             offset = np.concatenate([between(prior.pose, pose), twist])
             allowed = np.kron(np.eye(2), state.kept)
             held = allowed.T @ (information + known) @ allowed
-            wanted: FloatArray = allowed @ np.linalg.solve(
-                held, allowed.T @ (information @ offset - gradient)
-            )
+            solved = np.linalg.solve(held, allowed.T @ (information @ offset - gradient))
+            wanted = np.asarray(allowed @ solved, dtype=np.float64)
             step = wanted - offset
-            pose, twist = retract(prior.pose, wanted[:6]), np.asarray(wanted[6:], dtype=np.float64)
+            pose, twist = retract(prior.pose, wanted[:6]), wanted[6:]
             if number >= last and self._still(step):
                 break
         free = np.kron(np.eye(2), state.free)

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from onboard.core.config import LidarSettings
 from onboard.core.geometry import Pose
+from onboard.localization.estimate import Estimate
 from onboard.localization.lie import retract
-from onboard.localization.odometry import Estimate, Odometry
+from onboard.localization.odometry import Odometry
 from onboard.localization.prediction import RelativeMotion
 from simulation.lidar import LidarSimulator
 from simulation.scene import Scene
