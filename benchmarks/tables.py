@@ -32,6 +32,11 @@ Written by `python -m benchmarks.missions`; everything between markers is replac
 
 <!-- planning:begin -->
 <!-- planning:end -->
+
+## Odometry
+
+<!-- odometry:begin -->
+<!-- odometry:end -->
 """
 COLUMNS = (
     "world",

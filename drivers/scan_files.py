@@ -1,4 +1,4 @@
-"""A folder of point cloud files, one scan each in the order of their stamps or names; a single file is one scan."""
+"""A folder of point cloud files, one scan each in the order of stamps or names; a single file is one scan."""
 
 from __future__ import annotations
 
@@ -20,8 +20,8 @@ _EARLIEST_S = 1e9
 def name_stamp_s(path: Path) -> float | None:
     """Seconds since 1970 that a file's name ends with; None where it tells no time after 2001.
 
-    Understood are seconds with a fraction (1650963664.25, scan_1650963664_250000000 with nanoseconds) and whole
-    seconds, milli-, micro- or nanoseconds.
+    Understood are seconds with a fraction (1650963664.25, scan_1650963664_250000000 with nanoseconds) and
+    whole seconds, milli-, micro- or nanoseconds.
     """
     if found := re.search(r"(?<!\d)(\d{10})(?:\.(\d+)|[_-](\d{9}))$", path.stem):
         stamp_s = int(found[1]) + float(f"0.{found[2] or found[3]}")
@@ -33,7 +33,8 @@ def name_stamp_s(path: Path) -> float | None:
 
 
 def scan_stamps(files: list[Path], rate_hz: float | None) -> tuple[list[Path], list[float]]:
-    """The files in order, and when each scan was taken: by name, unless `rate_hz` is given or names do not tell."""
+    """The files in order, and when each was taken: by name, unless `rate_hz` is given or names do not
+    tell."""
     told = [stamp_s for file in files if (stamp_s := name_stamp_s(file)) is not None]
     if rate_hz is None and len(set(told)) == len(files):
         ranked = sorted(zip(told, files, strict=True))

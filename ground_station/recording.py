@@ -42,9 +42,9 @@ def map_recording(
 
     Writes trajectory.txt (TUM: stamp x y z qx qy qz qw), keyframes.bin, map.ply, map.png, metrics.json and
     report.html, and map.bt and mesh.ply where the settings ask for them. `sensor` names the nominal LiDAR
-    where the recording does not tell; `reference` is a TUM file with the known poses of the sensor: how far ours
-    are from it comes under "reference". After Ctrl-C, or when the recording breaks in the middle, everything is
-    written for the scans before ('complete' is then false).
+    where the recording does not tell; `reference` is a TUM file with the known poses of the sensor: how far
+    ours are from it comes under "reference". After Ctrl-C, or when the recording breaks in the middle,
+    everything is written for the scans before ('complete' is then false).
     Raises InputError for a recording or folder that cannot be used.
     """
     settings = settings or RecordingSettings()

@@ -15,7 +15,8 @@ from ground_station.range_image import likely_model_name, to_range_image
 from onboard.codec import decode, encode
 from onboard.core.geometry import Pose, rotation_angle
 from onboard.core.lidar import LidarModel, lidar_model
-from onboard.localization.odometry import Estimate, Odometry
+from onboard.localization.estimate import Estimate
+from onboard.localization.odometry import Odometry
 from onboard.mapping.compare import compare_maps
 from onboard.mapping.tsdf import TsdfBand
 from onboard.mapping.voxel_map import VoxelMap

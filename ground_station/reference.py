@@ -26,7 +26,8 @@ class Reference:
     def partners(self, stamps_s: FloatArray) -> list[tuple[int, int]]:
         """For every stamp (N,) the nearest of the reference: (place in `stamps_s`, place here).
 
-        Where no stamp meets any and both are equally many, as with files that carry no time, the order decides.
+        Where no stamp meets any and both are equally many, as with files that carry no time, the order
+        decides.
         """
         after = np.clip(np.searchsorted(self.stamps_s, stamps_s), 1, max(len(self.stamps_s) - 1, 1))
         nearer = np.abs(self.stamps_s[after - 1] - stamps_s) <= np.abs(self.stamps_s[after] - stamps_s)

@@ -22,8 +22,8 @@ TOLERANCE = 0.1
 class TrajectoryErrors:
     """Root mean squares in metres, except the final values, which are those of the last pose.
 
-    `rpe_m` is over ways of `delta_m`; `drift` and `worst_drift` are the last and the largest position error over
-    the length of the whole way, both trajectories laid on each other at their first poses.
+    `rpe_m` is over ways of `delta_m`; `drift` and `worst_drift` are the last and the largest position error
+    over the length of the whole way, both trajectories laid on each other at their first poses.
     """
 
     path_m: float
@@ -58,9 +58,7 @@ def compare_trajectories(
     turned = rotation_angle(start.compose(estimated[-1]).quaternion, true[-1].quaternion)
     path_m = float(along[-1])
     ate_m = absolute_error(ours, theirs)
-    return TrajectoryErrors(
-        path_m, ate_m, delta_m, rpe_m, rpe_rad, float(off[-1]), turned, float(off.max())
-    )
+    return TrajectoryErrors(path_m, ate_m, delta_m, rpe_m, rpe_rad, float(off[-1]), turned, float(off.max()))
 
 
 def absolute_error(ours: FloatArray, theirs: FloatArray) -> float:

@@ -6,6 +6,7 @@ import argparse
 import json
 import sys
 from collections.abc import Iterator, Sequence
+from itertools import product
 from pathlib import Path
 
 from rich.console import Console
@@ -16,7 +17,7 @@ from benchmarks.odometry import report
 from benchmarks.odometry.base import BaseErrors
 from benchmarks.odometry.measure import Result, base_alone, run_ours, run_peer
 from benchmarks.odometry.peers import TRACKERS
-from benchmarks.odometry.sequences import Plan, sequence
+from benchmarks.odometry.sequences import SWEEPING_HZ, Plan, sequence
 from benchmarks.odometry.worlds import PLACES
 from onboard.core.kernel_cache import select_kernel_cache
 
@@ -35,6 +36,14 @@ def parse(arguments: Sequence[str] | None) -> argparse.Namespace:
     add("--worlds", nargs="+", default=list(PLACES), choices=list(PLACES), metavar="WORLD")
     add("--sensors", nargs="+", default=list(SENSORS), choices=list(SENSORS), metavar="SENSOR")
     add("--programs", nargs="+", default=programs, choices=programs, metavar="PROGRAM")
+    add(
+        "--rates",
+        nargs="+",
+        type=float,
+        default=[10.0, 2.0],
+        metavar="HZ",
+        help="10: sweeping; others: at once",
+    )
     add("--scans", type=int, help="only so many scans of each sequence")
     add("--renew", action="store_true", help="measure again what was measured before")
     return parser.parse_args(arguments)
@@ -45,23 +54,26 @@ def say(text: str) -> None:
     console.print(text, highlight=False, soft_wrap=True)
 
 
+def plans(options: argparse.Namespace) -> Iterator[tuple[Plan, str]]:
+    """Sequences with the programs to run on them: at less than 10 Hz only the one that has a prediction."""
+    for world, sensor, rate in product(options.worlds, options.sensors, options.rates):
+        plan = Plan(world, sensor, rate_hz=rate)
+        for program in options.programs:
+            if program == FUSED or rate == SWEEPING_HZ:
+                yield plan, program
+
+
 def measured(options: argparse.Namespace) -> Iterator[dict[str, object]]:
     """Records of all wanted programs on all wanted sequences; each is kept in a file of its own."""
-    for world in options.worlds:
-        for sensor in options.sensors:
-            plan = Plan(world, sensor)
-            for program in options.programs:
-                path = options.out / "results" / f"{plan.name}-{program.replace(' ', '-')}.json"
-                if options.renew or not path.is_file():
-                    path.parent.mkdir(parents=True, exist_ok=True)
-                    result = _measure(plan, program, options)
-                    path.write_text(json.dumps(result.record(), indent=1), encoding="utf-8")
-                record = json.loads(path.read_text(encoding="utf-8"))
-                say(
-                    f"{plan.name} {program}: drift {100 * record['drift']:.3f} %, "
-                    f"CPU p99 {record['ms_p99']:.1f} ms"
-                )
-                yield record
+    for plan, program in plans(options):
+        path = options.out / "results" / f"{plan.name}-{program.replace(' ', '-')}.json"
+        if options.renew or not path.is_file():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            result = _measure(plan, program, options)
+            path.write_text(json.dumps(result.record(), indent=1), encoding="utf-8")
+        record = json.loads(path.read_text(encoding="utf-8"))
+        say(f"{plan.name} {program}: drift {100 * record['drift']:.3f} %, CPU p99 {record['ms_p99']:.1f} ms")
+        yield record
 
 
 def _measure(plan: Plan, program: str, options: argparse.Namespace) -> Result:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -38,15 +39,13 @@ def increments(track: Track, errors: BaseErrors, rng: np.random.Generator) -> li
     wander = _wander(len(poses), errors, rng)
     bias = rng.normal(0.0, errors.bias_rad_s, 3) / RATE_HZ
     told = []
-    for index, (start, end) in enumerate(zip(poses[:-1], poses[1:], strict=True)):
+    for index, (start, end) in enumerate(pairwise(poses)):
         step = between(start, end)
         step[:3] *= 1.0 + errors.scale + wander[index]
         step[:3] += rng.normal(0.0, errors.noise_m / np.sqrt(RATE_HZ), 3)
         step[3:] += bias + rng.normal(0.0, errors.noise_rad / np.sqrt(RATE_HZ), 3)
         motion = retract(Pose.identity(), step)
-        told.append(
-            Increment(float(stamps[index]), float(stamps[index + 1]), motion, _covariance(errors))
-        )
+        told.append(Increment(float(stamps[index]), float(stamps[index + 1]), motion, _covariance(errors)))
     return told
 
 

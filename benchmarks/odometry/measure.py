@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
@@ -14,8 +14,9 @@ from benchmarks.odometry.peers import TRACKERS
 from benchmarks.odometry.sequences import Sequence
 from ground_station.trajectory_errors import TrajectoryErrors, compare_trajectories
 from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.estimate import Estimate
 from onboard.localization.lie import between
-from onboard.localization.odometry import Estimate, Odometry
+from onboard.localization.odometry import Odometry
 from onboard.localization.prediction import RelativeMotion
 from onboard.localization.reckoning import Increment, Reckoning
 
@@ -44,6 +45,12 @@ class Result:
     def record(self) -> dict[str, Any]:
         """As plain data."""
         return {**asdict(self), "drift": self.errors.drift, "worst_drift": self.errors.worst_drift}
+
+    @classmethod
+    def of(cls, record: dict[str, Any]) -> Result:
+        """From plain data."""
+        own = {item.name: record[item.name] for item in fields(cls)}
+        return cls(**{**own, "errors": TrajectoryErrors(**record["errors"])})
 
 
 def run_peer(sequence: Sequence, program: str, scans: int | None = None) -> Result:
@@ -148,6 +155,8 @@ def _judged(result: Result, found: list[Estimate], true: list[Pose]) -> Result:
         float(np.median(lengths)),
         float((lengths < CHI2_95).mean()),
         {
+            "jumps": sum(item.jump for item in found),
+            "least_inlier_ratio": min(item.inlier_ratio for item in found),
             "warned_at_scan": warned,
             "error_at_warning_m": None if warned is None else off[warned],
             "error_over_0.3_m_at_scan": far,

@@ -102,7 +102,7 @@ class Track:
 def follow(points: FloatArray, gait: Gait, rng: np.random.Generator) -> Track:
     """The motion of a sensor whose undisturbed way is `points` (N, 3), 0.1 m apart."""
     headings = _headings(points)
-    stamps = _stamps(points, headings, gait)
+    stamps = _stamps(headings, gait)
     times = np.arange(0.0, stamps[-1], 1.0 / RATE_HZ)
     smooth = 0.15 * RATE_HZ
     positions = np.stack([np.interp(times, stamps, points[:, axis]) for axis in range(3)], axis=-1)
@@ -119,10 +119,10 @@ def _headings(points: FloatArray) -> FloatArray:
     """Direction of the way at every point, radians, without jumps."""
     ahead = np.gradient(gaussian_filter1d(points[:, :2], 3.0, axis=0, mode="nearest"), axis=0)
     raw = np.unwrap(np.arctan2(ahead[:, 1], ahead[:, 0]))
-    return gaussian_filter1d(raw, _HEADING_SMOOTHING_M / STEP_M, mode="nearest")
+    return np.asarray(gaussian_filter1d(raw, _HEADING_SMOOTHING_M / STEP_M, mode="nearest"))
 
 
-def _stamps(points: FloatArray, headings: FloatArray, gait: Gait) -> FloatArray:
+def _stamps(headings: FloatArray, gait: Gait) -> FloatArray:
     """When the body is at every point: as fast as turns and acceleration allow."""
     turn = np.abs(np.gradient(headings)) / STEP_M
     speed = np.minimum(gait.speed_m_s, gait.turn_rad_s / np.maximum(turn, 1e-6))

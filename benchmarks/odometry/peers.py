@@ -1,4 +1,4 @@
-"""The programs that are compared, behind one interface: a sweep in, the pose of the sensor at its stamp out."""
+"""The programs that are compared, behind one interface: a sweep in, the sensor's pose at its stamp out."""
 
 from __future__ import annotations
 
@@ -77,9 +77,7 @@ class Plain:
         cloud, _ = small_gicp.preprocess_points(points, downsampling_resolution=0.25, num_threads=1)
         if not self._first:
             start = self._pose @ self._step
-            result = small_gicp.align(
-                self._map, cloud, start, max_correspondence_distance=1.0, num_threads=1
-            )
+            result = small_gicp.align(self._map, cloud, start, max_correspondence_distance=1.0, num_threads=1)
             self._step = np.linalg.inv(self._pose) @ result.T_target_source
             self._pose = result.T_target_source
         self._first = False

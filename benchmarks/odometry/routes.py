@@ -1,4 +1,4 @@
-"""Routes through a place: from one far corner to the next, off the walls, over ground seen before now and then."""
+"""Routes through a place: from far corner to far corner, off the walls, now and then over seen ground."""
 
 from __future__ import annotations
 

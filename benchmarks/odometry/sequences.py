@@ -158,7 +158,7 @@ def _way(place: worlds.Place, plan: Plan, rng: np.random.Generator) -> FloatArra
     height = HEIGHTS_M[plan.sensor]
     if plan.world == "corridor":
         end = place.start * [-1.0, 1.0, 1.0]
-        return routes.straight(place.start + [0, 0.1, height], end + [0, -0.15, height])
+        return routes.straight(place.start + np.array([0, 0.1, height]), end + np.array([0, -0.15, height]))
     space = worlds.open_space(place, flying, 0.6 if flying else 0.45)
     points = routes.route(space, plan.length_m, rng)
     if not flying:

@@ -15,15 +15,18 @@ from onboard.localization.prediction import Prior
 from onboard.localization.settings import AlignmentSettings, MotionSettings
 from onboard.localization.thinning import Thinned
 
+REST: FloatArray = np.zeros(6)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Alignment:
-    """Outcome: `pose` of the scan at its stamp in the grid's frame, and `twist` (6,) on top of the predicted one.
+    """Outcome: `pose` of the scan at its stamp in the grid's frame, and `twist` (6,) on top of the predicted
+    one.
 
-    `covariance` (12, 12) of pose and twist relative to the planes, `blind` (6, 6) its part along directions of
-    the pose that the planes do not tell. `matched` points met a plane, `fitting` of them lie within three
-    standard deviations of it; `mean_square` is that of the residuals in standard deviations, those beyond three
-    taken as three.
+    `covariance` (12, 12) of pose and twist relative to the planes, `blind` (6, 6) its part along directions
+    of the pose that the planes do not tell. `matched` points met a plane, `fitting` of them lie within three
+    standard deviations of it; `mean_square` is that of the residuals in standard deviations, those beyond
+    three taken as three.
     """
 
     pose: Pose
@@ -74,10 +77,10 @@ class Aligner:
     def align(self, thinned: Thinned, prior: Prior, wide: bool = False) -> Alignment:
         """Maximise the probability of pose and twist by Gauss-Newton, beginning at the prior's pose.
 
-        Along directions that the planes do not tell the pose stays that of the prior. `wide` searches around a
-        start that is a guess.
+        Along directions that the planes do not tell the pose stays that of the prior. `wide` searches around
+        a start that is a guess.
         """
-        pose, twist = prior.pose, np.zeros(6)
+        pose, twist = prior.pose, REST
         loose = self.settings.wide_m if wide else self.settings.loose_m
         known, rough = np.linalg.inv(prior.covariance), thinned.few(self.settings.rough_points)
         last = len(loose) - 1
@@ -89,7 +92,8 @@ class Aligner:
             offset = np.concatenate([between(prior.pose, pose), twist])
             allowed = np.kron(np.eye(2), state.kept)
             held = allowed.T @ (information + known) @ allowed
-            wanted = allowed @ np.linalg.solve(held, allowed.T @ (information @ offset - gradient))
+            solved = np.linalg.solve(held, allowed.T @ (information @ offset - gradient))
+            wanted = np.asarray(allowed @ solved, dtype=np.float64)
             step = wanted - offset
             pose, twist = retract(prior.pose, wanted[:6]), wanted[6:]
             if number >= last and self._still(step):

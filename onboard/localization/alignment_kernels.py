@@ -111,7 +111,22 @@ def accumulate(
         px, py, pz = rx + position[0], ry + position[1], rz + position[2]
         wobble = abs(tau * tau * tau) / 3.0
         best_row, best_variance, best_off, best_tilt = best_plane(
-            px, py, pz, rx, ry, rz, weights[i], wobble, edges, table, keys, other, planes, model, gate_m, loose2
+            px,
+            py,
+            pz,
+            rx,
+            ry,
+            rz,
+            weights[i],
+            wobble,
+            edges,
+            table,
+            keys,
+            other,
+            planes,
+            model,
+            gate_m,
+            loose2,
         )
         if best_row < 0:
             continue

@@ -15,8 +15,8 @@ class Conditioning(NamedTuple):
 
     `ratios` (6,) ascending: information over what uncertain normals feign of it, 1 = nothing real.
     `directions` (6, 6) columns: motions (shift in metres, rotation vector) that belong to the ratios.
-    `kept` (6, 6 - weak) columns: the directions that are told; `free` (6, 6) maps motions to their part along the
-    others.
+    `kept` (6, 6 - weak) columns: the directions that are told; `free` (6, 6) maps motions to their part
+    along the others.
     """
 
     ratios: FloatArray

@@ -16,7 +16,8 @@ from onboard.core.geometry import FloatArray
 Float32Array = NDArray[np.float32]
 SUMS, PLANE = 16, 12
 FULL = 100.0
-"""So many points settle a plane: later ones do not move it, so that it does not follow the odometry's drift."""
+"""So many points settle a plane: later ones do not move it, so that it does not follow the odometry's
+drift."""
 REFIT = 1.25
 MIN_POINTS = 6.0
 ROUGHNESS = 0.06
@@ -41,7 +42,7 @@ def key_of(x: float, y: float, z: float, edge: float, level: int) -> int:
     i = np.int64(np.floor(x / edge)) + _BIAS
     j = np.int64(np.floor(y / edge)) + _BIAS
     k = np.int64(np.floor(z / edge)) + _BIAS
-    return (np.int64(level) << 60) | (i << 40) | (j << 20) | k
+    return int((np.int64(level) << 60) | (i << 40) | (j << 20) | k)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -60,7 +61,7 @@ def slot_of(key: int, table: NDArray[np.int32], keys: NDArray[np.int64]) -> int:
     slot = np.int64((np.uint64(key) * _HASH) >> np.uint64(36)) & mask
     while table[slot] >= 0 and keys[table[slot]] != key:
         slot = (slot + 1) & mask
-    return slot
+    return int(slot)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -88,14 +89,12 @@ def distances(keys: NDArray[np.int64], count: int, edges: FloatArray, centre: Fl
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _facing(
-    row: int, vx: float, vy: float, vz: float, sums: Float32Array, planes: Float32Array
-) -> float:
+def _facing(row: int, vx: float, vy: float, vz: float, sums: Float32Array, planes: Float32Array) -> float:
     """Cosine between the direction to the viewer and the side from which the row was seen so far."""
     if planes[row, 10] > 0:
-        return vx * planes[row, 3] + vy * planes[row, 4] + vz * planes[row, 5]
+        return float(vx * planes[row, 3] + vy * planes[row, 4] + vz * planes[row, 5])
     mx, my, mz = sums[row, 10], sums[row, 11], sums[row, 12]
-    return (vx * mx + vy * my + vz * mz) / np.sqrt(mx * mx + my * my + mz * mz + 1e-12)
+    return float((vx * mx + vy * my + vz * mz) / np.sqrt(mx * mx + my * my + mz * mz + 1e-12))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -120,7 +119,7 @@ def _fits(
         + (y - planes[row, 1]) * planes[row, 4]
         + (z - planes[row, 2]) * planes[row, 5]
     )
-    return abs(off) < GATE_M + 3.0 * np.sqrt(planes[row, 6])
+    return bool(abs(off) < GATE_M + 3.0 * np.sqrt(planes[row, 6]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -173,9 +172,7 @@ def insert(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add(
-    sums: Float32Array, x: float, y: float, z: float, vx: float, vy: float, vz: float
-) -> None:
+def _add(sums: Float32Array, x: float, y: float, z: float, vx: float, vy: float, vz: float) -> None:
     sums[0] += np.float32(1.0)
     sums[1] += np.float32(x)
     sums[2] += np.float32(y)

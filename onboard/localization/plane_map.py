@@ -11,6 +11,8 @@ first scan would otherwise lie along the borders of cubes.
 
 from __future__ import annotations
 
+from typing import TypeVar
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -24,6 +26,7 @@ GRID_TURN = rotation_exp(np.array([0.31, -0.23, 0.47]))
 """From the odometry frame to the grid's."""
 _FIRST_ROWS = 1 << 14
 _GROWTH = 2
+Number = TypeVar("Number", bound=np.generic)
 
 
 class PlaneMap:
@@ -47,7 +50,15 @@ class PlaneMap:
         """Add points (N, 3), seen from `eye` (3,); both in the grid's frame."""
         self._reserve(len(points) * len(LEVELS_M))
         self.count = kernels.insert(
-            points, eye, np.array(LEVELS_M), self.table, self.keys, self.other, self.sums, self.planes, self.count
+            points,
+            eye,
+            np.array(LEVELS_M),
+            self.table,
+            self.keys,
+            self.other,
+            self.sums,
+            self.planes,
+            self.count,
         )
 
     def _reserve(self, rows: int) -> None:
@@ -61,7 +72,8 @@ class PlaneMap:
             self._index(1 << (3 * need).bit_length())
 
     def forget(self, centre: FloatArray, radius_m: float) -> None:
-        """Drop the cubes farther than `radius_m` from `centre` (3,), and farther ones until few enough are left.
+        """Drop the cubes farther than `radius_m` from `centre` (3,), and farther ones until few enough are
+        left.
 
         Both sides of a wall stay or go together.
         """
@@ -84,7 +96,7 @@ class PlaneMap:
         self._index(len(self.table))
 
 
-def _longer(array: NDArray[np.generic], size: int) -> NDArray[np.generic]:
+def _longer(array: NDArray[Number], size: int) -> NDArray[Number]:
     longer = np.zeros((size, *array.shape[1:]), dtype=array.dtype)
     longer[: len(array)] = array
     return longer

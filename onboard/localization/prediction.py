@@ -58,10 +58,10 @@ class Prior:
 
 
 def steady(belief: Belief, stamp_s: float, settings: MotionSettings) -> Prior:
-    """At constant twist, with white noise on the acceleration; after a long gap standing.
+    """At a twist that fades slowly, with white noise on the acceleration; after a long gap standing.
 
-    Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001), section 6.2.2,
-    in the sensor's frame.
+    Bar-Shalom, Li, Kirubarajan, "Estimation with Applications to Tracking and Navigation" (2001), section
+    6.2.2, in the sensor's frame.
     """
     elapsed_s = stamp_s - belief.stamp_s
     held_s = min(elapsed_s, settings.blind_s)
@@ -69,7 +69,9 @@ def steady(belief: Belief, stamp_s: float, settings: MotionSettings) -> Prior:
     motion = retract(Pose.identity(), twist_motion(twist, held_s))
     change = _change(motion, held_s)
     covariance = change @ belief.covariance @ change.T + _noise(held_s, settings)
-    return Prior(stamp_s, belief.pose.compose(motion), twist, covariance, motion)
+    fading = _fading(held_s, settings)
+    covariance *= np.outer(fading, fading)
+    return Prior(stamp_s, belief.pose.compose(motion), twist * fading[6:], covariance, motion)
 
 
 def informed(
@@ -85,6 +87,7 @@ def informed(
     way = np.concatenate([told.motion.rotation.T @ told.motion.position, np.zeros(3)])
     error = told.covariance + scale_variance * np.outer(way, way)
     shared = held_s * (_change(prior.motion, held_s) @ belief.covariance)[:, 6:] + noise[:, :6]
+    shared *= _fading(held_s, settings)[:, None]
     motion_variance = held_s**2 * belief.covariance[6:, 6:] + noise[:6, :6]
     gain = np.linalg.solve(motion_variance + error, shared.T).T
     shift = gain @ between(prior.pose, belief.pose.compose(told.motion))
@@ -109,6 +112,11 @@ def _change(motion: Pose, elapsed_s: float) -> FloatArray:
     change[:6, :6] = transport(motion)
     change[:6, 6:] = elapsed_s * np.eye(6)
     return change
+
+
+def _fading(elapsed_s: float, settings: MotionSettings) -> FloatArray:
+    """(12,) what is left of pose and twist."""
+    return np.repeat([1.0, np.exp(-elapsed_s / settings.calm_s)], 6)
 
 
 def _noise(elapsed_s: float, settings: MotionSettings) -> FloatArray:

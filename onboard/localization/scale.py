@@ -10,6 +10,8 @@ WINDOW_M = 1.5
 """Told and found ways are compared over so much at a time ..."""
 WINDOW_NOISE_M = 0.01
 """... in which registration is off by this (one sigma)."""
+GATE = 3.0
+"""Windows that differ from what is known by more than so many standard deviations: legs that slipped."""
 STRAIGHT = 0.7
 """Windows whose chord is less than this share of their way tell nothing."""
 WANDER_PER_M = 1.5e-6
@@ -43,7 +45,9 @@ class WayScale:
             self.restart()
 
     def _update(self, share: float, chord2: float) -> None:
-        variance = self.variance + WANDER_PER_M * self._way_m
-        gain = variance / (variance + WINDOW_NOISE_M**2 / chord2)
-        self.share += gain * (share - self.share)
-        self.variance = (1.0 - gain) * variance
+        self.variance += WANDER_PER_M * self._way_m
+        total = self.variance + WINDOW_NOISE_M**2 / chord2
+        if (share - self.share) ** 2 < GATE**2 * total:
+            gain = self.variance / total
+            self.share += gain * (share - self.share)
+            self.variance *= 1.0 - gain

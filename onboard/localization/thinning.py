@@ -29,9 +29,7 @@ class Sweep(NamedTuple):
         """Without offsets all points were measured at the stamp."""
         finite = np.isfinite(points).all(axis=1)
         times = np.zeros(len(points)) if offsets_s is None else offsets_s
-        return cls(
-            np.ascontiguousarray(points[finite], dtype=np.float32), times[finite].astype(np.float32)
-        )
+        return cls(np.ascontiguousarray(points[finite], dtype=np.float32), times[finite].astype(np.float32))
 
     def still(self, twist: FloatArray) -> Float32Array:
         """(N, 3) points as seen from the sensor at the stamp if it moves with `twist` (6,)."""
@@ -42,7 +40,8 @@ class Sweep(NamedTuple):
         times = low + spacing_s * np.arange(KNOTS)
         poses = [retract(Pose.identity(), twist_motion(twist, float(time_s))) for time_s in times]
         knots = np.array([pose.matrix()[:3] for pose in poses])
-        return undistort(self.points, self.offsets_s, low, spacing_s, knots)
+        moved: Float32Array = undistort(self.points, self.offsets_s, low, spacing_s, knots)
+        return moved
 
 
 class Thinned(NamedTuple):
@@ -59,11 +58,6 @@ class Thinned(NamedTuple):
         rows = np.arange(count) * len(self.points) // count
         return Thinned(self.points[rows], self.offsets_s[rows], self.counts[rows])
 
-    def moved(self, pose: Pose, twist: FloatArray) -> FloatArray:
-        """(n, 3) points seen from `pose`, in the frame of that, after the rest of the sweep's motion `twist`."""
-        shift = self.offsets_s[:, None] * (twist[:3] + np.cross(twist[3:], self.points))
-        return (self.points + shift) @ pose.rotation.T + pose.position
-
 
 class Thinner:
     """Holds the scratch table, so that no scan pays for it."""
@@ -79,13 +73,23 @@ class Thinner:
     ) -> Thinned:
         """One mean point per cube of `cell_m` of the `points` (N, 3) whose range lies within `range_m`.
 
-        At most half as many cubes as the table has slots are kept; later points of further cubes are left out.
+        At most half as many cubes as the table has slots are kept; later points of further cubes are left
+        out.
         """
         self._turn += 1
         sums = np.zeros((min(len(points), len(self._keys) // 2), 5))
         low, high = range_m
         count = _thin(
-            points, offsets_s, 1.0 / cell_m, low**2, high**2, self._keys, self._rows, self._used, self._turn, sums
+            points,
+            offsets_s,
+            1.0 / cell_m,
+            low**2,
+            high**2,
+            self._keys,
+            self._rows,
+            self._used,
+            self._turn,
+            sums,
         )
         sums = sums[:count]
         means = sums[:, :4] / sums[:, 4:]

@@ -19,9 +19,7 @@ numbers = st.floats(-50, 50)
 
 def line(count: int, scale: float = 1.0, turn_rad: float = 0.0) -> list[Pose]:
     """Poses 1 m (times `scale`) apart, the heading growing by `turn_rad` from pose to pose."""
-    return [
-        Pose.from_rpy(np.array([scale * i, 0.0, 0.0]), yaw_rad=turn_rad * i) for i in range(count)
-    ]
+    return [Pose.from_rpy(np.array([scale * i, 0.0, 0.0]), yaw_rad=turn_rad * i) for i in range(count)]
 
 
 @settings(max_examples=30)
@@ -80,7 +78,9 @@ def wavy() -> tuple[list[Pose], list[Pose]]:
         position = np.array([8 * np.cos(a), 5 * np.sin(2 * a), 0.3 * a])
         error = np.array([0.05 * np.sin(3 * a), 0.002 * i, 0.03 * np.cos(a)])
         true.append(Pose.from_rpy(position, 0.1 * np.sin(a), 0.05 * np.cos(a), a))
-        ours.append(Pose.from_rpy(position + error, 0.1 * np.sin(a) + 0.01 * np.sin(2 * a), 0.05 * np.cos(a), a))
+        ours.append(
+            Pose.from_rpy(position + error, 0.1 * np.sin(a) + 0.01 * np.sin(2 * a), 0.05 * np.cos(a), a)
+        )
     return true, ours
 
 
