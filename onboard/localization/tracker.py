@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from onboard.core.geometry import Pose
 from onboard.localization.lie import transport
-from onboard.localization.odometry import Estimate, Odometry
+from onboard.localization.estimate import Estimate
+from onboard.localization.odometry import Odometry
 from onboard.localization.prediction import RelativeMotion
 
 Points = NDArray[np.float32]
