@@ -15,17 +15,25 @@ from onboard.core.crc import crc32c
 from onboard.core.errors import InputError, WireError
 from onboard.sharing.frames import KINDS, kind_name, pack, unpack
 from onboard.sharing.messages import (
+    CHUNK_BYTES,
+    MAX_CHUNKS,
+    MAX_MISSING,
     MAX_PAYLOAD_BYTES,
     Ack,
     BidMessage,
     Bids,
     BundleMessage,
+    Chunk,
+    ChunkRange,
     Commit,
     CorrectionKnot,
     Corrections,
     Digest,
     KeyframeMessage,
+    Located,
     Message,
+    Missing,
+    Offer,
     Propose,
     Release,
     SourceRanges,
@@ -53,6 +61,16 @@ def source_ranges(draw: st.DrawFn, source: int) -> SourceRanges:
         ranges.append((free, count))
         free += count + draw(st.integers(1, 1000))
     return SourceRanges(source, tuple(ranges))
+
+
+@st.composite
+def missing(draw: st.DrawFn) -> Missing:
+    spans, free = [], draw(st.integers(0, 3))
+    for _ in range(draw(st.integers(0, 6))):
+        count = draw(st.integers(1, 80))
+        spans.append(ChunkRange(free, count))
+        free += count + draw(st.integers(1, 80))
+    return Missing(draw(u16), draw(u32), tuple(spans))
 
 
 digests = st.lists(u8, unique=True, max_size=5).flatmap(
@@ -87,6 +105,10 @@ messages = st.one_of(
     st.builds(Commit, u16, positions),
     st.builds(Release, positions),
     st.builds(Bids, st.lists(bundles, max_size=6, unique_by=lambda bundle: bundle.robot).map(tuple)),
+    st.builds(Offer, u16, st.integers(0, MAX_CHUNKS * CHUNK_BYTES), u32),
+    st.builds(Chunk, u16, u32, st.integers(0, MAX_CHUNKS - 1), st.binary(max_size=300)),
+    missing(),
+    st.builds(Located, u16, u8),
     st.builds(Corrections, u8, u32, knots),
 )
 
@@ -142,6 +164,11 @@ def test_hostile_bodies_with_a_good_checksum_decode_or_are_refused(kind: int, bo
         Bids((BundleMessage(1, 7000.0, ()),)),
         Bids((BundleMessage(1, 0.0, (BidMessage((0.0, 0.0, 0.0), -1.0),)),)),
         Bids((BundleMessage(1, 0.0, (BidMessage((0.0, 0.0, 0.0), 1.0),) * 5),)),
+        Offer(0, MAX_CHUNKS * CHUNK_BYTES + 1, 0),
+        Chunk(0, 0, MAX_CHUNKS, b""),
+        Chunk(0, 0, 0, bytes(CHUNK_BYTES + 1)),
+        Missing(0, 0, tuple(ChunkRange(2 * k, 1) for k in range(MAX_MISSING + 1))),
+        Located(0, 256),
         Corrections(1, 1, (CorrectionKnot(0, (164.0, 0.0, 0.0), (0.0, 0.0, 0.0)),)),
         Corrections(1, 1, (CorrectionKnot(0, (0.0, 0.0, 0.0), (0.0, 0.0, float("nan"))),)),
         Corrections(1, 1, (CorrectionKnot(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),) * 1001),
@@ -154,11 +181,18 @@ def test_what_the_format_cannot_carry_is_refused_before_sending(message: Message
 
 
 def test_counts_are_bounded_before_anything_is_read() -> None:
-    digest, corrections = bytes(8) + b"\x01\x00\xff", bytes(5) + b"\xff\xff"
-    for kind, body in ((5, b"\xff\xff"), (4, b"\xff"), (2, digest), (10, b"\xff"), (15, corrections)):
+    longest, knots = bytes(6) + b"\xff\xff", bytes(5) + b"\xff\xff"
+    bodies = [(5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff"), (10, b"\xff"), (15, knots)]
+    for kind, body in [*bodies, (11, bytes(2) + b"\xff" * 8), (12, longest), (13, longest)]:
         head = bytes([1, kind, 0, 1]) + body
         with pytest.raises(WireError, match="items, at most"):
             unpack(head + struct.pack("<I", crc32c(head)))
+
+
+@pytest.mark.parametrize("spans", [((0, 0),), ((5, 2), (6, 1)), ((5, 2), (7, 1)), ((MAX_CHUNKS - 1, 2),)])
+def test_missing_chunks_must_ascend_with_gaps(spans: tuple[tuple[int, int], ...]) -> None:
+    with pytest.raises(WireError, match="ranges"):
+        unpack(pack(Missing(0, 0, tuple(ChunkRange(*span) for span in spans)), 0, 1))
 
 
 @pytest.mark.parametrize("ranges", [((0, 0),), ((5, 2), (6, 1)), ((5, 2), (7, 1)), ((0xFFFFFFFF, 2),)])
@@ -175,7 +209,7 @@ def test_knots_of_a_correction_ascend(numbers: tuple[int, int]) -> None:
 
 
 def test_unknown_versions_and_kinds_are_refused() -> None:
-    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 11, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
+    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 16, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
         with pytest.raises(WireError, match="unknown version"):
             unpack(head + struct.pack("<I", crc32c(head)))
 
