@@ -37,6 +37,11 @@ Written by `python -m benchmarks.missions`; everything between markers is replac
 
 <!-- odometry:begin -->
 <!-- odometry:end -->
+
+## Drift
+
+<!-- drift:begin -->
+<!-- drift:end -->
 """
 COLUMNS = (
     "world",

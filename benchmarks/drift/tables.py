@@ -9,7 +9,6 @@ import numpy as np
 from benchmarks.drift.measure import Outcome
 from benchmarks.drift.tracks import Plan
 
-BEGIN, END = "<!-- drift: begin -->", "<!-- drift: end -->"
 _HEAD = [
     "| mission | runs | way | odometry: end | odometry: worst | closed: end | closed: robot's own "
     "| closed: worst | ATE before / after | loops closed | wrong | CPU a key scan: loops + maps "
@@ -23,14 +22,6 @@ def table(outcomes: Sequence[Outcome], ratios: Mapping[str, float]) -> str:
     plans = dict.fromkeys(outcome.plan for outcome in outcomes)
     rows = [_row(plan, [o for o in outcomes if o.plan == plan], ratios) for plan in plans]
     return "\n".join([*_HEAD, *rows, "", _summary(outcomes)])
-
-
-def inserted(document: str, text: str) -> str:
-    """The document with this text between its marks; at its end where it has none."""
-    if BEGIN not in document:
-        return f"{document.rstrip()}\n\n## Drift\n\n{BEGIN}\n{text}\n{END}\n"
-    before, rest = document.split(BEGIN, 1)
-    return f"{before}{BEGIN}\n{text}\n{END}{rest.split(END, 1)[1]}"
 
 
 def _row(plan: Plan, runs: list[Outcome], ratios: Mapping[str, float]) -> str:

@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.geometry import Pose
-from onboard.localization.lie import transport
 from onboard.localization.estimate import Estimate
+from onboard.localization.lie import transport
 from onboard.localization.odometry import Odometry
 from onboard.localization.prediction import RelativeMotion
 

@@ -6,14 +6,14 @@ import numpy as np
 
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
-from onboard.localization.corrections import Correction, Knot
 from onboard.mission import Phase
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.relocation import relocate
+from onboard.robot.corrections import from_message, to_message
 from onboard.robot.map_frame import Moves, Told
 from onboard.robot.roles import Team
 from onboard.sharing.correction_talk import CorrectionTalk
-from onboard.sharing.messages import CorrectionKnot, Corrections
+from onboard.sharing.messages import Corrections
 
 
 class Mapper:
@@ -53,8 +53,7 @@ class Mapper:
     def came(self, source: int, message: Corrections) -> None:
         """A peer's word on where its keyframes are, or that it knows of ours."""
         if message.knots:
-            knots = tuple(Knot(knot.sequence, knot.shift_m, knot.turn_rad) for knot in message.knots)
-            self._team.frame.take(Correction(message.source, message.revision, knots))
+            self._team.frame.take(from_message(message))
         answer = self._talk.came(source, message)
         if answer is not None:
             self._team.link.post(answer, source)
@@ -65,7 +64,7 @@ class Mapper:
         moves: Moves | None = team.profile.timed("poses", self._team.frame.step, team.explorer.map)
         if moves is not None:
             relocate(team.explorer, moves)
-            self._talk.tell(_packed(moves.correction))
+            self._talk.tell(to_message(moves.correction))
             far_m = max(float(np.linalg.norm(a.position - b.position)) for a, b in moves.pairs)
             team.log("map_redrawn", revision=moves.correction.revision, moved_m=round(far_m, 3))
         for peer in team.peer_ids:
@@ -73,8 +72,3 @@ class Mapper:
             if message is not None:
                 team.link.post(message, peer)
         return moves
-
-
-def _packed(correction: Correction) -> Corrections:
-    knots = (CorrectionKnot(knot.sequence, knot.shift_m, knot.turn_rad) for knot in correction.knots)
-    return Corrections(correction.source, correction.revision, tuple(knots))

@@ -181,10 +181,9 @@ def test_what_the_format_cannot_carry_is_refused_before_sending(message: Message
 
 
 def test_counts_are_bounded_before_anything_is_read() -> None:
-    longest = bytes(6) + b"\xff\xff"
-    bodies = [(5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff"), (10, b"\xff")]
-    bodies += [(11, bytes(2) + b"\xff" * 8), (12, longest), (13, longest), (15, bytes(5) + b"\xff\xff")]
-    for kind, body in bodies:
+    longest, knots = bytes(6) + b"\xff\xff", bytes(5) + b"\xff\xff"
+    bodies = [(5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff"), (10, b"\xff"), (15, knots)]
+    for kind, body in [*bodies, (11, bytes(2) + b"\xff" * 8), (12, longest), (13, longest)]:
         head = bytes([1, kind, 0, 1]) + body
         with pytest.raises(WireError, match="items, at most"):
             unpack(head + struct.pack("<I", crc32c(head)))
