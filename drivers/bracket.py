@@ -1,7 +1,7 @@
 """The host's side of the release bracket: a pure state machine, frames in and frames out.
 
-    permitted, LOCKED -> arm (challenge of the last heartbeat) -> ARMED -> fire (its new challenge) -> RELEASING
-    -> RELEASED; whatever is not as it should be -> FAULT, which `lock` acknowledges
+    permitted, LOCKED -> arm (challenge of the last heartbeat) -> ARMED -> fire (its new challenge)
+    -> RELEASING -> RELEASED; whatever is not as it should be -> FAULT, which `lock` acknowledges
 
 The permission comes from outside (`onboard.safety.allow_release`) in every step and is needed up to the frame
 that fires. A fault tells the bracket to de-energise in two ways: by a lock command, and by heartbeats without
@@ -131,7 +131,7 @@ class Bracket:
     ) -> list[CanFrame]:
         """Take what came, and say what to send.
 
-        `permitted`: the release is wanted and allowed at this moment. `lock`: de-energise, acknowledge faults.
+        `permitted`: the release is wanted and allowed now. `lock`: de-energise, acknowledge faults.
         """
         for frame in frames:
             self._listener.receive(now_s, frame)

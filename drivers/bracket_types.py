@@ -1,4 +1,4 @@
-"""What every kind of release bracket has in common: its states, measurements and what the host makes of them."""
+"""What every kind of release bracket has in common: its states, measurements and the host's view."""
 
 from __future__ import annotations
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 from cantools.database import can, load_string
 from cantools.database.errors import Error as DatabaseError
@@ -61,6 +62,7 @@ class BracketWire:
             message = self._by_name.get(name)
             if message is None or {signal.name for signal in message.signals} != signals | HEADER:
                 raise InputError(f"{source}: {name} is missing or has other signals; use config/bracket.dbc")
+        self._bounds = {name: _bounds(self._by_name[name]) for name in SIGNALS}
         self._by_id = {self._by_name[name].frame_id: name for name in SIGNALS}
 
     def encode(self, name: str, counter: int, **signals: float) -> CanFrame:
@@ -83,12 +85,22 @@ class BracketWire:
         message = self._by_name[name]
         if len(frame.data) != message.length or not intact(frame.data, frame.id):
             raise WireError(f"{name}: damaged frame")
-        signals = message.decode_simple(frame.data, decode_choices=False)
-        for signal in message.signals:
-            value = signals[signal.name]
-            if not signal.minimum <= value <= signal.maximum:
-                raise WireError(f"{name}: {signal.name} is {value}")
+        signals = cast(dict[str, float], message.decode_simple(frame.data, decode_choices=False))
+        for signal, (low, high) in self._bounds[name].items():
+            if not low <= signals[signal] <= high:
+                raise WireError(f"{name}: {signal} is {signals[signal]}")
         return Message(name, frame.data[HEADER_BYTES - 1], signals)
+
+
+def _bounds(message: can.Message) -> dict[str, tuple[float, float]]:
+    """Range of each signal, physical units; a file without ranges gives those of the bits."""
+    return {
+        signal.name: (
+            -math.inf if signal.minimum is None else float(signal.minimum),
+            math.inf if signal.maximum is None else float(signal.maximum),
+        )
+        for signal in message.signals
+    }
 
 
 def load_wire(path: Path) -> BracketWire:

@@ -1,6 +1,7 @@
 """CAN buses to plain frames: the only place where python-can is opened.
 
-Any of its interfaces will do: `socketcan` on a robot, `virtual` in one process, `udp_multicast` between processes.
+Any of its interfaces will do: `socketcan` on a robot, `virtual` in one process, `udp_multicast` between
+processes.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """End-to-end protection of CAN frames: AUTOSAR E2E profile 5 (PRS_E2EProtocol), header at byte 0.
 
-CRC-16 over counter, payload and data id, little-endian in bytes 0 and 1; a counter of 8 bits in byte 2. A frame
-that was corrupted, repeated, delayed or meant for another receiver is told from a good one.
+CRC-16 over counter, payload and data id, little-endian in bytes 0 and 1; a counter of 8 bits in byte 2. A
+frame that was corrupted, repeated, delayed or meant for another receiver is told from a good one.
 """
 
 from __future__ import annotations

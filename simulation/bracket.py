@@ -1,7 +1,7 @@
 """A simulated release bracket on CAN: firmware, latch and faults, frames in and frames out in lock-step.
 
-The firmware trusts nobody: commands need a host whose heartbeats are in sequence and content, a rising counter,
-a checksum, the challenge of this very moment, and the second step within a second of the first.
+The firmware trusts nobody: commands need a host whose heartbeats are in sequence and content, a rising
+counter, a checksum, the challenge of this very moment, and the second step within a second of the first.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """The mechanics of a release bracket: a latch that a motor pulls open, with switches at both ends.
 
-Like the lock of a car's door it stays where it is without current, and is closed again by pushing the robot in.
+Like the lock of a car's door it stays where it is without current, and closes when the robot is pushed in.
 """
 
 from __future__ import annotations
