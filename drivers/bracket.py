@@ -145,8 +145,8 @@ class Bracket:
             self._attempt = None
         elif self._attempt is None:
             self._attempt = Attempt()
-        command = self._command(now_s, lock)
-        return [*self._own_heartbeat(now_s), *command]
+        command = self._command(now_s, lock)  # it may find a fault, which the heartbeat then tells
+        return [*command, *self._own_heartbeat(now_s)]
 
     def report(self) -> Report:
         """The bracket after the last step."""
