@@ -1,8 +1,8 @@
 """A release bracket driven by a standard motor controller (CiA 402, profile position): the pure part.
 
 The same two steps as with a bracket of our own: arming enables the drive while it holds the closed position,
-firing gives it the open one, within a second. What the profile does not have (challenge, end-to-end checksum) it
-makes up for by heartbeats in both directions and by looking at the drive's state between the steps.
+firing gives it the open one, within a second. For what the profile lacks (challenge, end-to-end checksum)
+there are heartbeats in both directions, and a look at the state between the steps.
 """
 
 from __future__ import annotations
