@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from drivers.bracket_monitor import Monitor, agree
+from drivers.bracket_monitor import Monitor, shut
 from drivers.bracket_types import Fault, Report, Sensors, State
 from drivers.bracket_wire import BracketWire, CanFrame, Message, Sender
 from drivers.can_protection import LOST_S, Sequence
@@ -200,7 +200,7 @@ class Bracket:
         return armed_for_nobody or (self._monitor.fault != "" and _energised(heartbeat))
 
     def _arm(self, now_s: float, heartbeat: Message, attempt: Attempt) -> list[CanFrame]:
-        ready = heartbeat.signals["HostHeard"] == 1 and agree(now_s, State.LOCKED, self._listener.sensors)
+        ready = heartbeat.signals["HostHeard"] == 1 and shut(now_s, self._listener.sensors)
         if not ready or not attempt.arm_due(now_s):
             return []
         if attempt.exhausted:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import TypeGuard
+
 from drivers.bracket_types import Sensors, State
 
 OPEN_WITHIN_S = 2.0
@@ -81,8 +83,15 @@ def agree(now_s: float, state: State, sensors: Sensors | None) -> bool:
     """
     if state in (State.RELEASED, State.FAULT):
         return True
-    if sensors is None or now_s - sensors.stamp_s >= SENSORS_S:
-        return False
     if state == State.RELEASING:
-        return not (sensors.closed and sensors.open)
-    return sensors.closed and not sensors.open
+        return _fresh(sensors, now_s) and not (sensors.closed and sensors.open)
+    return shut(now_s, sensors)
+
+
+def shut(now_s: float, sensors: Sensors | None) -> bool:
+    """Whether fresh measurements say that the latch is closed."""
+    return _fresh(sensors, now_s) and sensors.closed and not sensors.open
+
+
+def _fresh(sensors: Sensors | None, now_s: float) -> TypeGuard[Sensors]:
+    return sensors is not None and now_s - sensors.stamp_s < SENSORS_S

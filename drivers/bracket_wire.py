@@ -106,7 +106,7 @@ def _bounds(message: can.Message) -> dict[str, tuple[float, float]]:
 def load_wire(path: Path) -> BracketWire:
     """The protocol in a DBC file. Raises InputError when it cannot be read."""
     try:
-        return BracketWire(path.read_text(encoding="utf-8"), str(path))
+        return BracketWire(path.read_bytes().decode(errors="replace"), str(path))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}; give the bracket's DBC file") from error
 

@@ -163,6 +163,17 @@ def test_a_second_permission_arms_anew(bench):
     ]
 
 
+def test_without_a_word_on_permission_there_is_none(bench):
+    ready(bench)
+    for _ in range(50):
+        bench.ticks += 1
+        bench.node_port.send(bench.node.step(bench.now_s, bench.node_port.receive()))
+        sent = bench.host.step(bench.now_s, bench.host_port.receive())
+        bench.host_port.send(sent)
+        assert {WIRE.decode(frame).name for frame in sent} <= {"HostHeartbeat"}
+    assert bench.host.report().state == State.LOCKED
+
+
 def test_lock_wins_over_a_permission(bench):
     ready(bench)
     for _ in range(50):
@@ -345,6 +356,26 @@ def test_an_opening_that_nobody_asked_for_is_a_fault(bench, state):
     assert not bench.node.energised
 
 
+def test_an_opening_after_the_lock_that_ended_a_release_is_a_surprise_again(bench):
+    ready(bench).until_state(State.RELEASED, permitted=True)
+    bench.node.latch.push_in()
+    bench.tick(lock=True)
+    ready(bench)
+    bench.node.state = State.RELEASING
+    bench.until_state(State.FAULT)
+    assert bench.host.report().reason == "opened without being told"
+
+
+def test_an_opening_after_an_arm_that_was_not_fired_is_a_surprise_even_if_one_before_was(faulty):
+    bench = with_faults(faulty, ignores_fire=True)
+    while commands(bench).count("BracketArm") < 2:
+        bench.tick(permitted=True)
+    assert "BracketFire" in commands(bench)
+    bench.node.state = State.RELEASING
+    bench.until_state(State.FAULT)
+    assert bench.host.report().reason == "opened without being told"
+
+
 def test_a_bracket_armed_by_somebody_else_is_locked(bench):
     ready(bench)
     bench.node.state, bench.node._since_s = State.ARMED, bench.now_s
@@ -402,6 +433,7 @@ def test_a_fault_stays_until_it_is_acknowledged_and_then_it_opens(faulty):
     bench.node.faults.latch.sticks_at = None
     bench.run(1.0, permitted=True)
     assert bench.host.report().state == State.FAULT
+    assert commands(bench).count("BracketArm") == 1
     assert bench.tick(lock=True).reason == ""
     bench.until_state(State.LOCKED)
     bench.until_state(State.RELEASED, permitted=True)

@@ -285,6 +285,44 @@ def test_the_pure_part_does_not_fire_before_the_drive_is_enabled_and_shut():
     assert bracket.report().state == State.RELEASING
 
 
+SHUT = Sensors(0.0, 0.0, 25.0, True, False)
+
+
+def test_before_the_first_step_it_is_silent():
+    assert Cia402Bracket().report() == Report(State.FAULT, "bracket is silent", None, False, False, None, 0)
+
+
+def test_without_a_word_on_permission_there_is_none():
+    bracket = Cia402Bracket()
+    assert bracket.step(0.0, Reading(Drive.DISABLED, SHUT), 0.0) == Order(0x00)
+
+
+@pytest.mark.parametrize("state", Drive)
+def test_lock_resets_a_fault_and_disables_in_every_other_state(state):
+    order = Cia402Bracket().step(0.0, Reading(state, SHUT), 0.0, permitted=True, lock=True)
+    assert order == Order(0x80 if state == Drive.FAULT else 0x00)
+
+
+@pytest.mark.parametrize("fault", [Drive.FAULT, Drive.FAULT_REACTION])
+def test_a_drive_that_recovers_by_itself_is_not_armed_again_under_the_same_permission(fault):
+    bracket = Cia402Bracket()
+    assert bracket.step(0.0, Reading(Drive.DISABLED, SHUT), 0.0, permitted=True) == Order(0x06)
+    assert bracket.step(0.1, Reading(fault, SHUT), 0.1, permitted=True) == Order(0x00)
+    assert bracket.report().reason == "drive reports a fault"
+    assert bracket.report().state == State.FAULT
+    assert bracket.step(0.2, Reading(Drive.DISABLED, SHUT), 0.2, permitted=True) == Order(0x00)
+    bracket.step(0.3, Reading(Drive.DISABLED, SHUT), 0.3)
+    assert bracket.step(0.4, Reading(Drive.DISABLED, SHUT), 0.4, permitted=True) == Order(0x06)
+
+
+def test_the_second_for_enabling_is_over_when_it_is_over():
+    for late_s, order in ((0.999, Order(0x3F, open=True)), (1.0, Order(0x00))):
+        bracket = Cia402Bracket()
+        bracket.step(0.0, Reading(Drive.DISABLED, SHUT), 0.0, permitted=True)
+        shut = Sensors(late_s, 0.0, 25.0, True, False)
+        assert bracket.step(late_s, Reading(Drive.ENABLED, shut), late_s, permitted=True) == order
+
+
 def test_public_descriptions_of_drives_have_the_objects_that_are_used():
     default = Path(__file__).parents[2].parent / "shared" / "data"
     folder = Path(os.environ.get("MARSUPIAL_DATA", default)) / "can" / "canopen_eds"

@@ -94,7 +94,17 @@ def test_states_and_faults_that_nobody_knows_are_refused(signal, bits):
     crc = Crc16Ibm3740.calc(bytes(data[2:]) + (0x120).to_bytes(2, "little"))
     data[:2] = crc.to_bytes(2, "little")
     with pytest.raises(WireError, match=f"BracketHeartbeat: {signal} is {value}"):
-        WIRE.decode(CanFrame(0x120, bytes(data)))
+        load_wire(DBC).decode(CanFrame(0x120, bytes(data)))
+
+
+@pytest.mark.parametrize(("raw", "amperes"), [(-10_001, -100.01), (10_001, 100.01), (-32_768, -327.68)])
+def test_measurements_out_of_range_are_refused(raw, amperes):
+    data = bytearray(8)
+    data[3:5] = raw.to_bytes(2, "little", signed=True)
+    crc = Crc16Ibm3740.calc(bytes(data[2:]) + (0x121).to_bytes(2, "little"))
+    data[:2] = crc.to_bytes(2, "little")
+    with pytest.raises(WireError, match=f"BracketSensors: MotorCurrent is {amperes}"):
+        load_wire(DBC).decode(CanFrame(0x121, bytes(data)))
 
 
 def test_other_frames_on_the_bus_are_none_of_ours():
@@ -131,8 +141,12 @@ def test_what_the_file_does_not_allow_is_not_sent(name, signals):
 def test_files_that_do_not_define_the_protocol_are_refused(tmp_path):
     with pytest.raises(InputError, match=r"gone\.dbc: No such file.*give the bracket's DBC file"):
         load_wire(tmp_path / "gone.dbc")
-    with pytest.raises(InputError, match=r"bracket\.dbc: not a DBC file: "):
+    with pytest.raises(InputError, match=r"bracket\.dbc: not a DBC file: DBC: ") as caught:
         BracketWire("BO_ nonsense")
+    assert "KCD" not in str(caught.value)  # other formats are not even tried
+    (tmp_path / "latin.dbc").write_bytes(b"BO_ \xe9")
+    with pytest.raises(InputError, match=r"latin\.dbc: not a DBC file"):
+        load_wire(tmp_path / "latin.dbc")
     good = DBC.read_text()
     (tmp_path / "x.dbc").write_text(good.replace("BracketFire", "BracketFyre"))
     with pytest.raises(InputError, match=r"x\.dbc: BracketFire is missing or has other signals; use config/"):
