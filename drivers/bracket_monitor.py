@@ -37,7 +37,7 @@ class Monitor:
         found = (
             self._surprise(state, told_to_open),
             self._late(now_s, state),
-            self._stall(now_s, state, sensors),
+            self._stall(now_s, sensors),
             self._disagreement(now_s, state, sensors),
         )
         self._state = state
@@ -56,7 +56,7 @@ class Monitor:
             return f"jam: not open after {OPEN_WITHIN_S:.0f} s"
         return ""
 
-    def _stall(self, now_s: float, state: State, sensors: Sensors | None) -> str:
+    def _stall(self, now_s: float, sensors: Sensors | None) -> str:
         past_inrush = self._opening_s is not None and now_s - self._opening_s >= INRUSH_S
         if not past_inrush or sensors is None or abs(sensors.current_a) < STALL_A:
             self._stalls_s = None

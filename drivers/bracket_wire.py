@@ -69,7 +69,7 @@ class BracketWire:
         """The protected frame of a message. Raises ValueError for signals out of range or unknown."""
         message = self._by_name[name]
         try:
-            data = message.encode({"Crc": 0, "Counter": counter % 256, **signals}, strict=True)
+            data = message.encode({"Crc": 0, "Counter": counter % 256, **signals})
         except (DatabaseError, ValueError) as error:
             raise ValueError(f"{name}: {error}") from error
         return CanFrame(message.frame_id, protected(bytes(data), message.frame_id))
