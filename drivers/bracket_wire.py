@@ -14,6 +14,7 @@ from cantools.database.errors import Error as DatabaseError
 from drivers.can_protection import HEADER_BYTES, intact, protected
 from onboard.core.errors import InputError, WireError
 
+DBC = Path(__file__).resolve().parents[1] / "config" / "bracket.dbc"
 SIGNALS = {
     "BracketLock": frozenset[str](),
     "BracketFire": frozenset({"Challenge"}),
@@ -103,8 +104,8 @@ def _bounds(message: can.Message) -> dict[str, tuple[float, float]]:
     }
 
 
-def load_wire(path: Path) -> BracketWire:
-    """The protocol in a DBC file. Raises InputError when it cannot be read."""
+def load_wire(path: Path = DBC) -> BracketWire:
+    """The protocol in a DBC file, by default the one of this product. Raises InputError when it cannot be read."""
     try:
         return BracketWire(path.read_bytes().decode(errors="replace"), str(path))
     except OSError as error:

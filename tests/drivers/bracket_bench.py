@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import count
-from pathlib import Path
 
 import can
 
@@ -14,8 +13,7 @@ from drivers.bracket_wire import CanFrame, Message, load_wire
 from drivers.can_port import CanPort
 from simulation.bracket import BracketNode, NodeFaults
 
-DBC = Path(__file__).parents[2] / "config" / "bracket.dbc"
-WIRE = load_wire(DBC)
+WIRE = load_wire()
 STEP_S = 0.02
 _channels = count()
 

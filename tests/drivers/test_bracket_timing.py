@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import pytest
-from bracket_bench import DBC
 
 from drivers.bracket import Attempt, Bracket
 from drivers.bracket_monitor import Monitor, agree, shut
@@ -17,7 +16,7 @@ class Scripted:
     """A bracket that says what the test wants."""
 
     def __init__(self) -> None:
-        self.wire = load_wire(DBC)
+        self.wire = load_wire()
         self.sender = Sender(self.wire)
         self.host = Bracket(self.wire)
 

@@ -8,11 +8,11 @@ from pathlib import Path
 
 import cantools
 import pytest
-from bracket_bench import DBC, WIRE
+from bracket_bench import WIRE
 from crccheck.crc import Crc16Ibm3740
 
 from drivers.bracket_types import Fault, State
-from drivers.bracket_wire import SIGNALS, BracketWire, CanFrame, Sender, load_wire
+from drivers.bracket_wire import DBC, SIGNALS, BracketWire, CanFrame, Sender, load_wire
 from onboard.core.errors import InputError, WireError
 
 EXAMPLES = {
