@@ -105,7 +105,7 @@ def _bounds(message: can.Message) -> dict[str, tuple[float, float]]:
 
 
 def load_wire(path: Path = DBC) -> BracketWire:
-    """The protocol in a DBC file, by default the one of this product. Raises InputError when it cannot be read."""
+    """The protocol in a DBC file. Raises InputError when it cannot be read."""
     try:
         return BracketWire(path.read_bytes().decode(errors="replace"), str(path))
     except OSError as error:
