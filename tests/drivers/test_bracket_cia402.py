@@ -268,6 +268,8 @@ def test_a_node_that_is_not_there_is_named(benches):
         (0x021F, Drive.FAULT_REACTION),
         (0x0218, Drive.FAULT),
         (0x0026, None),
+        (0x0041, None),
+        (0x0009, None),
     ],
 )
 def test_statuswords_as_drives_send_them(statusword, state):
