@@ -27,6 +27,11 @@ Written by `python -m benchmarks.missions`; everything between markers is replac
 
 <!-- exploration:begin -->
 <!-- exploration:end -->
+
+## Planning cycle
+
+<!-- planning:begin -->
+<!-- planning:end -->
 """
 COLUMNS = (
     "world",
