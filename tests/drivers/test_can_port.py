@@ -96,23 +96,28 @@ def multicast_works() -> bool:
     return True
 
 
+def slow_clock() -> float:
+    """A third of real time, so that a machine that stops for a second does not lose the other side."""
+    return time.monotonic() / 3
+
+
 def node_process(group: str, stop: multiprocessing.synchronize.Event) -> None:
-    """The simulated bracket in a process of its own, in real time."""
+    """The simulated bracket in a process of its own."""
     port, node = open_port("udp_multicast", group), BracketNode(WIRE)
     while not stop.is_set():
-        port.send(node.step(time.monotonic(), port.receive()))
+        port.send(node.step(slow_clock(), port.receive()))
         stop.wait(0.01)
     port.close()
 
 
 @pytest.mark.skipif(not multicast_works(), reason="no route for multicast: ip route add 224.0.0.0/4 dev lo")
-def test_a_release_between_two_processes_in_real_time():
+def test_a_release_between_two_processes():
     context = multiprocessing.get_context("spawn")
     stop = context.Event()
     node = context.Process(target=node_process, args=(GROUP, stop))
     node.start()
     port = open_port("udp_multicast", GROUP)
-    bracket = BracketPort(port, Bracket(WIRE), time.monotonic)
+    bracket = BracketPort(port, Bracket(WIRE), slow_clock)
     pause, states = context.Event(), []
     for _ in range(3000):
         state = bracket.poll(permitted=True).state
