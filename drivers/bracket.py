@@ -81,7 +81,6 @@ class Attempt:
     def __init__(self) -> None:
         self._arms = 0
         self._armed_s = -math.inf
-        self._fired_s = -math.inf
         self._challenge: float | None = None
 
     @property
@@ -97,18 +96,14 @@ class Attempt:
         """Whether the first step was sent, and not too long ago for the second."""
         return now_s - self._armed_s < FIRE_WITHIN_S
 
-    def fire_due(self, now_s: float, challenge: float) -> bool:
-        """Whether the bracket took the first step (its challenge is a new one) and waits for the second."""
-        return challenge != self._challenge and now_s - self._fired_s >= ANSWER_S - EARLY_S
+    def answered(self, challenge: float) -> bool:
+        """Whether the bracket took the first step: then its challenge is a new one."""
+        return challenge != self._challenge
 
     def armed(self, now_s: float, challenge: float) -> None:
         """The first step is on its way."""
         self._arms += 1
         self._armed_s, self._challenge = now_s, challenge
-
-    def fired(self, now_s: float) -> None:
-        """The second step is on its way."""
-        self._fired_s = now_s
 
 
 class Bracket:
@@ -122,7 +117,7 @@ class Bracket:
         self._listener = Listener(wire)
         self._monitor = Monitor()
         self._attempt: Attempt | None = None
-        self._told_to_open = False
+        self._fired_s = -math.inf
         self._heartbeat: Message | None = None
         self._sent_s = -math.inf
 
@@ -138,9 +133,10 @@ class Bracket:
         self._heartbeat = self._listener.heartbeat(now_s)
         if lock:
             self._monitor.acknowledge()
-            self._told_to_open = False
+            self._fired_s = -math.inf
         if self._heartbeat is not None:
-            self._monitor.watch(now_s, _state(self._heartbeat), self._listener.sensors, self._told_to_open)
+            told_to_open = self._fired_s > -math.inf
+            self._monitor.watch(now_s, _state(self._heartbeat), self._listener.sensors, told_to_open)
         if lock or not permitted or self._heartbeat is None or self._monitor.fault:
             self._attempt = None
         elif self._attempt is None:
@@ -194,8 +190,12 @@ class Bracket:
                 return []
 
     def _must_lock(self, now_s: float, heartbeat: Message) -> bool:
-        """Whether the bracket has to be told to de-energise: after a fault, or armed for nobody."""
+        """Whether the bracket has to be told to de-energise: after a fault, or armed for nobody.
+
+        One that was fired just now is not stopped halfway for being reported as ARMED still.
+        """
         wanted = self._attempt is not None and self._attempt.open_for_fire(now_s)
+        wanted = wanted or not self._fire_due(now_s)
         armed_for_nobody = _state(heartbeat) == State.ARMED and not wanted
         return armed_for_nobody or (self._monitor.fault != "" and _energised(heartbeat))
 
@@ -207,17 +207,20 @@ class Bracket:
             self._monitor.fault = f"not open after {ARM_ATTEMPTS} attempts"
             return []
         challenge = heartbeat.signals["Challenge"]
-        self._told_to_open = False
+        self._fired_s = -math.inf
         attempt.armed(now_s, challenge)
         return [self._sender.frame("BracketArm", Challenge=challenge)]
 
     def _fire(self, now_s: float, heartbeat: Message, attempt: Attempt) -> list[CanFrame]:
         challenge = heartbeat.signals["Challenge"]
-        if not attempt.fire_due(now_s, challenge):
+        if not attempt.answered(challenge) or not self._fire_due(now_s):
             return []
-        self._told_to_open = True
-        attempt.fired(now_s)
+        self._fired_s = now_s
         return [self._sender.frame("BracketFire", Challenge=challenge)]
+
+    def _fire_due(self, now_s: float) -> bool:
+        """Whether the second step was not sent, or its answer is overdue."""
+        return now_s - self._fired_s >= ANSWER_S - EARLY_S
 
 
 def _state(heartbeat: Message) -> State:

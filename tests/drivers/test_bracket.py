@@ -152,6 +152,36 @@ def test_permission_withdrawn_after_the_fire_does_not_stop_halfway(bench):
     assert commands(bench) == ["BracketArm", "BracketFire"]
 
 
+def test_permission_withdrawn_with_the_fire_on_its_way_does_not_stop_halfway_either(bench):
+    """The host sees ARMED for a moment longer; a lock then would stop the latch in the middle."""
+    ready(bench)
+    while "BracketFire" not in commands(bench):
+        bench.tick(permitted=True)
+    bench.until_state(State.RELEASED)
+    assert commands(bench) == ["BracketArm", "BracketFire"]
+    assert bench.node.latch.position > 0.95
+
+
+def test_permission_withdrawn_after_a_fire_that_was_lost_locks_when_its_answer_is_overdue(faulty):
+    bench = with_faults(faulty, ignores_fire=True)
+    while "BracketFire" not in commands(bench):
+        bench.tick(permitted=True)
+    fired_s = bench.now_s
+    bench.until_state(State.LOCKED)
+    assert bench.sent("BracketLock")[0][0] - fired_s == pytest.approx(0.2, abs=0.021)
+    assert "BracketFire" not in commands(bench)[2:]
+
+
+def test_lock_stops_even_a_fire_on_its_way(bench):
+    ready(bench)
+    while "BracketFire" not in commands(bench):
+        bench.tick(permitted=True)
+    bench.tick(lock=True)
+    bench.run(0.2)
+    assert not bench.node.energised
+    assert bench.node.latch.position < 0.95
+
+
 def test_a_second_permission_arms_anew(bench):
     armed(bench).until_state(State.ARMED)
     bench.run(0.5)

@@ -80,6 +80,17 @@ def test_a_window_that_ends_while_armed_is_locked():
     assert "BracketLock" in scripted.names(1.25, scripted.says(State.ARMED), permitted=True)
 
 
+def test_fire_is_sent_again_when_its_answer_is_overdue_by_the_millisecond():
+    for late_s, expected in ((0.1989, 0), (0.199, 1)):
+        scripted = Scripted()
+        for now_s in (-0.3, -0.2, -0.1):
+            scripted.names(now_s, scripted.says())
+        assert "BracketArm" in scripted.names(-0.05, scripted.says(), permitted=True)
+        assert "BracketFire" in scripted.names(0.0, scripted.says(State.ARMED, 8), permitted=True)
+        again = scripted.names(late_s, scripted.says(State.ARMED, 8), permitted=True)
+        assert again.count("BracketFire") == expected
+
+
 @pytest.mark.parametrize("fault", range(1, 7))
 def test_every_fault_of_the_bracket_is_named(fault):
     scripted = Scripted().trusted()
@@ -97,11 +108,8 @@ def test_the_times_of_an_attempt():
     assert attempt.arm_due(0.199)
     assert attempt.open_for_fire(0.9999)
     assert not attempt.open_for_fire(1.0)
-    assert not attempt.fire_due(0.0, 7.0)
-    assert attempt.fire_due(0.0, 8.0)
-    attempt.fired(0.0)
-    assert not attempt.fire_due(0.1989, 8.0)
-    assert attempt.fire_due(0.199, 8.0)
+    assert not attempt.answered(7.0)
+    assert attempt.answered(8.0)
 
 
 def test_an_attempt_is_exhausted_by_its_fifth_arm():
