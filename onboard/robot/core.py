@@ -20,13 +20,13 @@ from onboard.planning.plan import Plan, described
 from onboard.robot.carrier import Carrier
 from onboard.robot.flyer import Flyer
 from onboard.robot.interface import Inputs, Log, Outputs, Profile
+from onboard.robot.keep_clear import keep_clear
 from onboard.robot.map_frame import Given, MapFrame
 from onboard.robot.mapper import Mapper
 from onboard.robot.motion import Motion
 from onboard.robot.roles import Role, Team, vector
 from onboard.robot.sensing import Sensing
 from onboard.robot.soloist import Soloist
-from onboard.safety import keep_clear
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import Bids, Corrections, Message, Status
 
@@ -237,7 +237,8 @@ class RobotCore:
         """The command of a flying robot after the gate that keeps it clear of the others."""
         if self.settings.kind != "aerial" or self.phase == Phase.TAKING_OFF:
             return velocity
-        return keep_clear(velocity, pose.position, self.team.others(now_s), self._may_fly_to)
+        others, braking_m_s2 = self.team.others(now_s), self.settings.acceleration_m_s2
+        return keep_clear(velocity, pose.position, others, self._may_fly_to, braking_m_s2)
 
     def _may_fly_to(self, point: FloatArray) -> bool:
         return bool(self.explorer.passable(point[None], point[None] + 1e-3)[0])
