@@ -53,6 +53,8 @@ class Agent:
         carried = settings.kind == "aerial" and any(robot.kind == "ground" for robot in config.robots)
         self.localisation, frame = localised(poses, settings, self.body.pose, seed, carried=carried)
         self.core = RobotCore(config, settings, seed, self.body.pose, log, time.perf_counter, planner, frame)
+        self.believed = self.body.pose
+        """Where the core thought the body to be in its last step."""
         self.pose_error_m = self.worst_pose_error_m = 0.0
         """Distance between where the core believes the body to be and where it is: now, and at most."""
         self.inbox: list[bytes] = []
@@ -92,15 +94,11 @@ class Agent:
         frames, self.inbox = tuple(self.inbox), []
         inputs = Inputs(now_s, self.localisation.told(), self.body.battery_left, scan, frames)
         outputs = self.core.step(inputs)
+        self.believed = self.core.team.frame.pose(inputs.told)
         if not self.carried:
             self.pose_error_m = float(np.linalg.norm(self.believed.position - self.pose.position))
             self.worst_pose_error_m = max(self.worst_pose_error_m, self.pose_error_m)
         return outputs
-
-    @property
-    def believed(self) -> Pose:
-        """Where the core thinks that the body is."""
-        return self.core.team.frame.pose(self.localisation.told())
 
     def move(self, now_s: float, dt_s: float, outputs: Outputs) -> None:
         """Move the body as commanded, in directions as the core believes them to be."""
