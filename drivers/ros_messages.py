@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import struct
 from typing import Any, Literal, NamedTuple
 
@@ -150,10 +151,11 @@ def _decode(payload: bytes, name: str) -> Any:
 
 
 def _header(stamp_s: float, frame: str) -> object:
-    seconds = int(stamp_s // 1)
-    nanoseconds = min(round((stamp_s - seconds) * 1e9), 999_999_999)
+    whole = math.floor(stamp_s)
+    # split first: as nanoseconds since the epoch a float is good for a quarter of a microsecond only
+    carry, nanoseconds = divmod(round((stamp_s - whole) * 1e9), 1_000_000_000)
     return _TYPES["std_msgs/msg/Header"](
-        _TYPES["builtin_interfaces/msg/Time"](seconds, nanoseconds), frame
+        _TYPES["builtin_interfaces/msg/Time"](whole + carry, nanoseconds), frame
     )
 
 
@@ -179,7 +181,7 @@ def _finite(numbers: FloatArray) -> FloatArray:
 def _pose(pose: Any) -> Pose:
     turn = pose.orientation
     quaternion = _finite(np.array([turn.x, turn.y, turn.z, turn.w]))
-    norm = float(np.linalg.norm(quaternion))
+    norm = math.hypot(*quaternion)
     if abs(norm - 1) > _NORM_TOLERANCE:
         raise WireError(f"orientation {quaternion.tolist()} is no unit quaternion")
     return Pose(_vector(pose.position), quaternion / norm)

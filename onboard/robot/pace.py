@@ -33,7 +33,8 @@ def slope_limit(
     limit = pace(tilt(pose), speed_m_s, stairs_m_s)
     for distance, slope_rad in slopes_ahead(remaining_path(pose.position, path), body_m):
         allowed = pace(slope_rad, speed_m_s, stairs_m_s)
-        room = max(0.0, distance - body_m / 2)
+        # half a body: so far ahead of its middle the slope may begin; half: the front legs get there first
+        room = max(0.0, distance - body_m)
         limit = min(limit, float(np.sqrt(allowed**2 + 2 * BRAKE_RATIO * brake_m_s2 * room)))
     return limit
 
