@@ -21,8 +21,8 @@ from drivers.ros_messages import (
     encode_trigger,
     message_type,
 )
-from drivers.ros_wire import Endpoint, Wire, gid_of, wire_of
-from drivers.zenoh_session import open_session
+from drivers.ros_wire import Endpoint, EntityKind, Wire, gid_of, wire_of
+from drivers.zenoh_session import close_session, open_session
 from onboard.core.base import BaseOdometry, BodyVelocity, Posture
 from onboard.core.config import BaseLink
 from onboard.core.errors import WireError
@@ -89,8 +89,8 @@ class OdometryReader:
 class BaseDriver:
     """The link to one base; no thread of its own, `poll` gives what zenoh's threads have taken in.
 
-    `clock` gives host time in seconds that never goes back. Raises InputError when a client cannot reach any
-    of its endpoints. Use as a context manager, or call `close`.
+    For one thread. `clock` gives host time in seconds that never goes back. Raises InputError when a client
+    cannot reach any of its endpoints. Use as a context manager, or call `close`.
     """
 
     def __init__(self, settings: BaseLink, clock: Clock = time.monotonic) -> None:
@@ -122,7 +122,7 @@ class BaseDriver:
             express=True,
         )
         self._subscriber = self._session.declare_subscriber(self._wire.key(odometry), self._take_in)
-        clients = [("SC", service) for service in self._services.values()]
+        clients: list[tuple[EntityKind, Endpoint]] = [("SC", service) for service in self._services.values()]
         tokens = self._wire.tokens(
             str(self._session.zid()), NODE, [("MP", command), ("MS", odometry), *clients]
         )
@@ -154,12 +154,12 @@ class BaseDriver:
         """Ask the base to sit down or to stand up; the answer comes from `answers`."""
         self._requests += 1
         replied: list[TriggerReply] = []
+        handler: zenoh.handlers.Callback[zenoh.Reply] = zenoh.handlers.Callback(
+            lambda reply: _note(replied, reply), lambda: self._answers.put(_answer(posture, replied))
+        )
         self._session.get(
             self._wire.key(self._services[posture]),
-            zenoh.handlers.Callback(
-                lambda reply: _note(replied, reply),
-                lambda: self._answers.put(_answer(posture, replied)),
-            ),
+            handler,
             payload=encode_trigger(),
             attachment=self._attachment(self._requests),
             timeout=ANSWER_S,
@@ -176,7 +176,8 @@ class BaseDriver:
             return answers
 
     def close(self) -> None:
-        self._session.close()
+        """End the session; nothing is sent or taken in any more."""
+        close_session(self._session)
 
     def __enter__(self) -> BaseDriver:
         return self

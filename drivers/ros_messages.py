@@ -54,7 +54,7 @@ def message_type(kind: CommandType) -> str:
 
 def type_hash(name: str) -> str:
     """Hash RIHS01 (REP 2016) of a message type."""
-    return _STORE.hash_rihs01(name)
+    return str(_STORE.hash_rihs01(name))
 
 
 def encode_command(kind: CommandType, velocity: BodyVelocity, stamp_s: float, frame: str) -> bytes:

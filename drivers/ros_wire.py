@@ -17,7 +17,7 @@ GID_BYTES = 16
 TRIGGER_HASH = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
 """Of std_srvs/srv/Trigger, as `ros2 service info` and the type description in its package give it."""
 DEFAULT_QOS = "::,10:,:,:,,"
-"""Reliable, volatile, the last 10 kept: what differs from the middleware's defaults is written, here nothing."""
+"""Reliable, volatile, the last 10 kept; a field is empty where it is the middleware's default."""
 
 EntityKind = Literal["NN", "MP", "MS", "SS", "SC"]
 """Node, publisher, subscription, service server, service client."""

@@ -33,6 +33,11 @@ def open_session(
         raise InputError(f"zenoh {mode} ({where}): {error}") from error
 
 
+def close_session(session: zenoh.Session) -> None:
+    """End a session; what it declared is gone."""
+    session.close()  # type: ignore[no-untyped-call]  # the library's stub gives no return type
+
+
 def _settings(mode: str, connect: Sequence[str], listen: Sequence[str]) -> dict[str, object]:
     return {
         "mode": mode,

@@ -18,8 +18,8 @@ from drivers.ros_messages import (
     encode_trigger_reply,
     message_type,
 )
-from drivers.ros_wire import Endpoint, Wire, gid_of, wire_of
-from drivers.zenoh_session import open_session
+from drivers.ros_wire import Endpoint, EntityKind, Wire, gid_of, wire_of
+from drivers.zenoh_session import close_session, open_session
 from onboard.core.base import Posture
 from onboard.core.config import BaseLink
 from onboard.core.errors import WireError
@@ -30,12 +30,10 @@ ODOMETRY_HZ = 50.0
 
 
 class Keys(NamedTuple):
-    """Key expressions of everything that a base takes and gives."""
+    """Key expressions of the topics that a base takes and gives."""
 
     command: str
     odometry: str
-    sit: str
-    stand: str
 
 
 @dataclass(slots=True)
@@ -62,7 +60,7 @@ class BaseNode:
             "sit": Endpoint(settings.sit_service, TRIGGER),
             "stand": Endpoint(settings.stand_service, TRIGGER),
         }
-        self.keys = Keys(*map(self.wire.key, (self.command, self.odometry, *self.services.values())))
+        self.keys = Keys(self.wire.key(self.command), self.wire.key(self.odometry))
         self._due_s = 0.0
 
     def receive(self, payload: bytes, attachment: bytes | None) -> None:
@@ -107,10 +105,12 @@ class ZenohBase:
         self._subscriber = self._session.declare_subscriber(node.keys.command, self._receive)
         # rmw_zenoh asks complete queryables only
         self._queryables = [
-            self._session.declare_queryable(key, self._server(posture), complete=True)
-            for posture, key in (("sit", node.keys.sit), ("stand", node.keys.stand))
+            self._session.declare_queryable(
+                node.wire.key(service), self._server(posture, node.wire.key(service)), complete=True
+            )
+            for posture, service in node.services.items()
         ]
-        servers = [("SS", service) for service in node.services.values()]
+        servers: list[tuple[EntityKind, Endpoint]] = [("SS", service) for service in node.services.values()]
         tokens = node.wire.tokens(zid, NODE, [("MS", node.command), ("MP", node.odometry), *servers])
         self._tokens = [self._session.liveliness().declare_token(token) for token in tokens]
 
@@ -123,7 +123,7 @@ class ZenohBase:
             self._publisher.put(payload, attachment=self._attachment())
 
     def close(self) -> None:
-        self._session.close()
+        close_session(self._session)
 
     def _attachment(self) -> bytes | None:
         return self.node.wire.attachment(self._sent, time.time_ns(), self._gid)
@@ -133,8 +133,7 @@ class ZenohBase:
         with self._lock:
             self.node.receive(sample.payload.to_bytes(), attachment)
 
-    def _server(self, posture: Posture) -> zenoh.handlers.Callback[zenoh.Query]:
-        key = self.node.keys.sit if posture == "sit" else self.node.keys.stand
+    def _server(self, posture: Posture, key: str) -> zenoh.handlers.Callback[zenoh.Query]:
         return zenoh.handlers.Callback(lambda query: self._serve(posture, key, query))
 
     def _serve(self, posture: Posture, key: str, query: zenoh.Query) -> None:

@@ -1,4 +1,4 @@
-"""A legged base as its own computer makes it behave: postures, dead man, lag, drifting odometry. Lock-step."""
+"""A legged base as its own computer makes it behave: postures, dead man, lag, drifting odometry."""
 
 from __future__ import annotations
 

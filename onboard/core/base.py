@@ -37,9 +37,9 @@ class BaseOdometry:
     """One sample of the base's own odometry.
 
     `stamp_s` is host time, `device_stamp_s` the same instant on the base's clock. `pose` is the body in the
-    base's odometry frame (ENU, z up, drifts), `linear_m_s` (3,) and `angular_rad_s` (3,) its twist in the body
-    frame (x forward, y left, z up). The covariances (6, 6) are those of position and rotation, and of linear
-    and angular velocity, in the order x, y, z, about x, about y, about z, as the base sent them.
+    base's odometry frame (ENU, z up, drifts), `linear_m_s` (3,) and `angular_rad_s` (3,) its twist in the
+    body frame (x forward, y left, z up). The covariances (6, 6) are those of position and rotation, and of
+    linear and angular velocity, in the order x, y, z, about x, about y, about z, as the base sent them.
     """
 
     stamp_s: float
@@ -59,7 +59,7 @@ class BaseOdometry:
 
 
 class BaseIncrement(NamedTuple):
-    """A sensor of the base moved by `motion` from `start_s` to `end_s`; `covariance` (6, 6) of that motion."""
+    """A sensor of the base moved by `motion` from `start_s` to `end_s`; `covariance` (6, 6) of it."""
 
     start_s: float
     end_s: float

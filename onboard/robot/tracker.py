@@ -1,4 +1,4 @@
-"""Path tracking of a legged base: pose, path and time in, velocity in the body frame out; no I/O, no clock."""
+"""Path tracking of a legged base: pose, path and time in, velocity in the body frame out; no I/O."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from onboard.core.config import RobotSettings
 from onboard.core.geometry import FloatArray, Pose
 from onboard.planning.follower import REST, Velocity, finished, follow
 from onboard.planning.plan import onward
-from onboard.robot.pace import BRAKE_RATIO, slope_limit
+from onboard.robot.pace import slope_limit
 
 STALE_S = 0.3
 """A path or a pose from this age on is not acted upon: whoever sends it has to go on sending it."""

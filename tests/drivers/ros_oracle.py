@@ -1,4 +1,4 @@
-"""The independent oracle: Cyclone DDS's IDL layer (pycdr2) with the messages as their .msg files declare them.
+"""The independent oracle: Cyclone DDS's IDL layer (pycdr2), messages as their .msg files declare them.
 
 No postponed annotations here: the library resolves them itself and fails.
 """

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import socket
 import time
 
 import numpy as np
 import pytest
 import zenoh
+from zenoh_waiting import WAIT_S, free_endpoint, until
 
 from drivers.base import QUEUED, BaseCounters, BaseDriver, OdometryReader
 from drivers.ros_messages import decode_command, encode_odometry
@@ -19,7 +19,6 @@ from onboard.core.errors import InputError, WireError
 from onboard.core.geometry import Pose
 
 BRIDGES = ("ros2dds", "rmw_zenoh")
-WAIT_S = 10.0
 CLOCKS_APART_S = 1_000_000.0
 
 
@@ -76,12 +75,6 @@ class TestReader:
         assert got[-1].stamp_s == pytest.approx(4.08)
 
 
-def free_endpoint() -> str:
-    with socket.socket() as probe:
-        probe.bind(("127.0.0.1", 0))
-        return f"tcp/127.0.0.1:{probe.getsockname()[1]}"
-
-
 class Robot:
     """The other end: whatever the base's side of the wire sees, in order."""
 
@@ -111,16 +104,6 @@ def robot_on():
     yield build
     for robot in robots:
         robot.close()
-
-
-def until(condition, act=lambda: None) -> bool:
-    """Repeat `act` until the condition holds; for what zenoh's threads do meanwhile."""
-    end_s = time.monotonic() + WAIT_S
-    while not condition():
-        if time.monotonic() > end_s:
-            return False
-        act()
-    return True
 
 
 COMMAND_KEYS = {
@@ -176,9 +159,13 @@ def test_odometry_arrives(robot_on, bridge):
 @pytest.mark.parametrize("bridge", BRIDGES)
 def test_a_base_is_asked_to_stand_and_answers(robot_on, bridge):
     robot = robot_on(bridge)
-    key = "stand" if bridge == "ros2dds" else (
-        "0/stand/std_srvs::srv::dds_::Trigger_/"
-        "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+    key = (
+        "stand"
+        if bridge == "ros2dds"
+        else (
+            "0/stand/std_srvs::srv::dds_::Trigger_/"
+            "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
+        )
     )
     asked: list[tuple[bytes, bool]] = []
 

@@ -112,9 +112,7 @@ def test_odometry_is_read_by_the_oracle():
 def test_a_command_byte_by_byte():
     """geometry_msgs/Twist as published tutorials on zenoh-bridge-ros2dds show it: header, six doubles."""
     payload = encode_command("Twist", BodyVelocity(2.0, 0.0, -2.0), 0.0, "")
-    assert payload.hex() == (
-        "00010000" + "0000000000000040" + "00" * 16 + "00" * 16 + "00000000000000c0"
-    )
+    assert payload.hex() == ("00010000" + "0000000000000040" + "00" * 16 + "00" * 16 + "00000000000000c0")
     assert len(encode_command("TwistStamped", BodyVelocity(), 0.0, "base_link")) == 4 + 4 + 4 + 4 + 12 + 48
 
 

@@ -41,7 +41,9 @@ def settled(where, points=AHEAD, now_s=10.0, seconds=1.5, moving=None):
     moving = np.zeros(3) if moving is None else moving
     for step in range(round(seconds / 0.05) + 1):
         time_s = now_s + step * 0.05
-        drive = tracker.step(time_s, replace(where, stamp_s=time_s), StampedPath(time_s, points), True, moving)
+        drive = tracker.step(
+            time_s, replace(where, stamp_s=time_s), StampedPath(time_s, points), True, moving
+        )
     return drive
 
 
@@ -148,8 +150,10 @@ class TestSteering:
         path = StampedPath(0.0, points)
         for place in (at(x=3.0), at(x=4.0, y=0.15), at(x=3.0, y=0.2, yaw=np.pi)):
             tracker.step(0.0, place, path, True)
-        drive = [tracker.step(t, at(x=2.0, y=0.08, yaw=np.pi, stamp_s=t), StampedPath(t, points), True)
-                 for t in (0.1, 0.2, 0.3)][-1]
+        drive = [
+            tracker.step(t, at(x=2.0, y=0.08, yaw=np.pi, stamp_s=t), StampedPath(t, points), True)
+            for t in (0.1, 0.2, 0.3)
+        ][-1]
         assert drive.velocity.forward_m_s > 0.05
 
     def test_the_aim_stays_on_the_leg_and_corners_stay_corners(self):

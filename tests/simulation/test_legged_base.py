@@ -1,12 +1,10 @@
-"""The simulated base: postures, dead man, odometry; in lock-step, on bytes, and over zenoh with the driver."""
+"""The simulated base: postures, dead man, odometry; in lock-step, on bytes, and over zenoh."""
 
 from __future__ import annotations
 
-import time
-
 import numpy as np
 import pytest
-from test_base import WAIT_S, free_endpoint, until
+from zenoh_waiting import WAIT_S, free_endpoint, until
 
 from drivers.base import BaseDriver
 from drivers.ros_messages import (
@@ -15,7 +13,7 @@ from drivers.ros_messages import (
     decode_trigger_reply,
     encode_command,
 )
-from onboard.core.base import BodyVelocity
+from onboard.core.base import STILL, BodyVelocity
 from onboard.core.config import BaseLink
 from onboard.core.geometry import Pose
 from onboard.robot.posture import PostureKeeper
@@ -261,13 +259,11 @@ def test_driver_and_base_over_zenoh(bridge):
     try:
         told = []
 
-        def tick(velocity=BodyVelocity()):
+        def tick(velocity=STILL):
             """A command has to arrive before time passes, and so does the odometry after it."""
             heard, had = node.counters.commands, driver.counters.odometry
             driver.send(velocity)
-            end_s = time.monotonic() + 0.2
-            while node.counters.commands == heard and time.monotonic() < end_s:
-                time.sleep(0)
+            until(lambda: node.counters.commands > heard, wait_s=0.2)
             shell.step(DT_S)
             told.extend(driver.poll(0.2))
             return driver.counters.odometry > had
