@@ -16,6 +16,8 @@ from onboard.core.config import BaseLink
 GID_BYTES = 16
 TRIGGER_HASH = "RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
 """Of std_srvs/srv/Trigger, as `ros2 service info` and the type description in its package give it."""
+NO_HASH = "TypeHashNotSupported"
+"""What ROS 2 Humble, which knows no hashes, has in their place."""
 DEFAULT_QOS = "::,10:,:,:,,"
 """Reliable, volatile, the last 10 kept; a field is empty where it is the middleware's default."""
 
@@ -71,10 +73,11 @@ class RmwZenohWire:
 
     namespace: str = ""
     domain: int = 0
+    type_hashes: bool = True
 
     def key(self, endpoint: Endpoint) -> str:
         name = _full_name(self.namespace, endpoint.name)
-        return f"{self.domain}/{name}/{dds_type(endpoint.type)}/{_hash(endpoint.type)}"
+        return f"{self.domain}/{name}/{self._type(endpoint)}"
 
     def attachment(self, sequence: int, stamp_ns: int, gid: bytes) -> bytes:
         return _ATTACHMENT.pack(sequence, stamp_ns, GID_BYTES, gid)
@@ -84,11 +87,13 @@ class RmwZenohWire:
             self._token(zid, 0, "NN", node),
             *(
                 self._token(zid, number, kind, node)
-                + f"/{_mangled(self.namespace, endpoint.name)}/{dds_type(endpoint.type)}"
-                + f"/{_hash(endpoint.type)}/{DEFAULT_QOS}"
+                + f"/{_mangled(self.namespace, endpoint.name)}/{self._type(endpoint)}/{DEFAULT_QOS}"
                 for number, (kind, endpoint) in enumerate(entities, start=1)
             ),
         ]
+
+    def _type(self, endpoint: Endpoint) -> str:
+        return f"{dds_type(endpoint.type)}/{_hash(endpoint.type) if self.type_hashes else NO_HASH}"
 
     def _token(self, zid: str, number: int, kind: EntityKind, node: str) -> str:
         """A node in the root namespace and without an enclave; all entities belong to node 0."""
@@ -99,7 +104,7 @@ def wire_of(settings: BaseLink) -> Wire:
     """The wire that the configuration names."""
     if settings.bridge == "ros2dds":
         return Ros2ddsWire(settings.namespace)
-    return RmwZenohWire(settings.namespace, settings.domain)
+    return RmwZenohWire(settings.namespace, settings.domain, settings.type_hashes)
 
 
 def unpack_attachment(attachment: bytes) -> tuple[int, int, bytes] | None:

@@ -113,6 +113,8 @@ class BaseLink(Section):
     listen: tuple[str, ...] = ()
     domain: Annotated[int, Field(ge=0, le=232)] = 0
     """ROS_DOMAIN_ID of the base; part of the keys of rmw_zenoh only."""
+    type_hashes: bool = True
+    """Whether the base's ROS 2 has them: all but Humble; part of the keys of rmw_zenoh only."""
     namespace: RosName | Literal[""] = ""
     command_topic: RosName = "cmd_vel"
     command_type: Literal["TwistStamped", "Twist"] = "TwistStamped"

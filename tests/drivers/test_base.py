@@ -12,7 +12,7 @@ from zenoh_waiting import WAIT_S, free_endpoint, until
 from drivers.base import QUEUED, BaseCounters, BaseDriver, OdometryReader
 from drivers.ros_messages import decode_command, encode_odometry
 from drivers.ros_wire import unpack_attachment
-from drivers.zenoh_session import open_session
+from drivers.zenoh_session import close_session, open_session
 from onboard.core.base import BaseOdometry, BodyVelocity
 from onboard.core.config import BaseLink
 from onboard.core.errors import InputError, WireError
@@ -87,7 +87,7 @@ class Robot:
 
     def close(self) -> None:
         self.driver.close()
-        self.session.close()
+        close_session(self.session)
 
     def hear(self, key: str) -> zenoh.Subscriber[zenoh.Handler[zenoh.Sample]]:
         return self.session.declare_subscriber(key, zenoh.handlers.FifoChannel(64))
@@ -259,6 +259,26 @@ def test_a_base_that_is_not_there_is_named():
     settings = BaseLink(bridge="ros2dds", connect=(endpoint,))
     with pytest.raises(InputError, match=endpoint):
         BaseDriver(settings)
+
+
+def test_a_bridge_that_is_restarted_is_found_again(robot_on):
+    """Without a word from us: commands arrive again, nothing that was said meanwhile is replayed."""
+    robot = robot_on("ros2dds")
+    inbox = robot.hear("cmd_vel")
+    assert until(lambda: inbox.try_recv() is not None, lambda: robot.driver.send(BodyVelocity(0.1)))
+    close_session(robot.session)
+    for _ in range(50):
+        robot.driver.send(BodyVelocity(0.2))
+    robot.session = open_session("peer", listen=robot.settings.connect)
+    inbox = robot.hear("cmd_vel")
+    received: list[zenoh.Sample | None] = [None]
+
+    def send() -> None:
+        robot.driver.send(BodyVelocity(0.3))
+        received[0] = inbox.try_recv()
+
+    assert until(lambda: received[0] is not None, send)
+    assert decode_command("TwistStamped", received[0].payload.to_bytes()).velocity == BodyVelocity(0.3)
 
 
 @pytest.mark.parametrize("bad", ["/cmd_vel", "cmd vel", "", "a//b", "cmd_vel/", "a/*"])

@@ -41,6 +41,14 @@ def test_keys_of_rmw_zenoh():
     assert RmwZenohWire("bot1", 42).key(Endpoint("odom", ODOMETRY)).startswith("42/bot1/odom/nav_msgs::msg::")
 
 
+def test_humble_knows_no_hashes():
+    wire = wire_of(BaseLink(bridge="rmw_zenoh", type_hashes=False))
+    expected = "0/cmd_vel/geometry_msgs::msg::dds_::Twist_/TypeHashNotSupported"
+    assert wire.key(Endpoint("cmd_vel", TWIST)) == expected
+    token = wire.tokens(ZID, "n", [("MP", Endpoint("cmd_vel", TWIST))])[1]
+    assert token.endswith("/%cmd_vel/geometry_msgs::msg::dds_::Twist_/TypeHashNotSupported/::,10:,:,:,,")
+
+
 def test_tokens_are_those_of_a_real_node():
     """A node and a subscription as `ros2 topic echo` declares them, but for the quality of service."""
     node, subscription = RmwZenohWire().tokens(
