@@ -104,8 +104,12 @@ class BaseTracker:
         self._speed, self._last_s = allowed, now_s
         return _in_body(command, pose.yaw, allowed / max(speed, 1e-9))
 
-    def _halted(self, halt: Halt) -> Drive:
+    def rest(self) -> None:
+        """The command was not sent: the next one begins from rest."""
         self._speed, self._last_s = 0.0, None
+
+    def _halted(self, halt: Halt) -> Drive:
+        self.rest()
         return Drive(STILL, halt)
 
 
