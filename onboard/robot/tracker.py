@@ -105,11 +105,11 @@ class BaseTracker:
         return _in_body(command, pose.yaw, allowed / max(speed, 1e-9))
 
     def rest(self) -> None:
-        """The command was not sent: the next one begins from rest."""
-        self._speed, self._last_s = 0.0, None
+        """The last command was not sent: the next one begins from rest."""
+        self._speed = 0.0
 
     def _halted(self, halt: Halt) -> Drive:
-        self.rest()
+        self._speed, self._last_s = 0.0, None
         return Drive(STILL, halt)
 
 

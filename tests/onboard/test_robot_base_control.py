@@ -104,7 +104,9 @@ def test_the_gate_has_the_last_word():
 
     bench = Bench(gate).stand_up()
     assert bench.run(0.8).halt == ""
-    refused = bench.run(0.5)
+    bench.run(0.5)
+    assert [bench.step().halt for _ in range(5)] == ["phase is not one to walk in"] * 5
+    refused = bench.step()
     assert refused == type(refused)(STILL, None, "phase is not one to walk in")
     assert asked[-1][0] == asked[-1][2] == pytest.approx(bench.now_s)
     assert not asked[-1][1].still
