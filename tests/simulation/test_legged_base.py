@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
-from zenoh_waiting import WAIT_S, free_endpoint, until
+from zenoh_waiting import free_endpoint, until
 
 from drivers.base import BaseDriver
 from drivers.ros_messages import (
@@ -13,16 +15,17 @@ from drivers.ros_messages import (
     decode_trigger_reply,
     encode_command,
 )
-from onboard.core.base import STILL, BodyVelocity
+from onboard.core.base import BodyVelocity
 from onboard.core.config import BaseLink
 from onboard.core.geometry import Pose
-from onboard.robot.posture import PostureKeeper
+from onboard.robot.base_control import BaseControl, BaseInputs, PostureAnswer
 from onboard.robot.tracker import BaseTracker, Stamped, StampedPath
 from simulation.base_node import BaseNode, ZenohBase
 from simulation.ground_robot import GroundRobot
 from simulation.legged_base import BaseTraits, LeggedBase
 
 DT_S = 0.02
+WAIT_MESSAGE_S = 0.2
 FLOOR = (-10.0, -10.0, -0.2, 10.0, 10.0, 0.0)
 EXACT = BaseTraits(slip=0.0, scale=1.0, turn_drift_rad_m=0.0, noise_m_s=0.0, noise_rad_s=0.0)
 DDS = BaseLink(bridge="ros2dds")
@@ -247,43 +250,83 @@ def _off(place, points):
     return float(np.linalg.norm(starts + along[:, None] * legs - place[:2], axis=1).min())
 
 
+class HearingNode(BaseNode):
+    """Tells when a command has arrived."""
+
+    def __init__(self, base, settings):
+        super().__init__(base, settings)
+        self.heard = threading.Event()
+
+    def receive(self, payload, attachment):
+        super().receive(payload, attachment)
+        self.heard.set()
+
+
+class Team:
+    """Control, driver and base on two zenoh sessions; time is the base's, messages are waited for."""
+
+    def __init__(self, bridge, settings):
+        endpoint = free_endpoint()
+        server = BaseLink(bridge=bridge, mode="peer", connect=(), listen=(endpoint,))
+        link = BaseLink(bridge=bridge, connect=(endpoint,), settle_s=EXACT.rise_s)
+        self.shell = ZenohBase(HearingNode(LeggedBase(Puck(), EXACT), server))
+        self.node, self.base = self.shell.node, self.shell.node.base
+        self.driver = BaseDriver(link, clock=lambda: self.base.clock_s)
+        self.control = BaseControl(settings, link, lambda now_s, velocity, told: "")
+        self.posture, self.points = "stand", np.array([[0.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.5, 0.5, 0.0]])
+        self.halt = ""
+
+    def tick(self):
+        """The command arrives before time passes, and the odometry before the next command."""
+        now_s = self.base.clock_s
+        self.node.heard.clear()
+        outputs = self.control.step(
+            BaseInputs(
+                now_s=now_s,
+                odometry=self.driver.poll(0.0 if self.base.faults.mute else WAIT_MESSAGE_S),
+                answers=[PostureAnswer(*answer) for answer in self.driver.answers()],
+                where=Stamped(now_s, self.base.walker.pose),
+                path=StampedPath(now_s, self.points),
+                posture=self.posture,
+            )
+        )
+        self.driver.send(outputs.velocity)
+        if outputs.request is not None:
+            self.driver.request(outputs.request)
+        self.node.heard.wait(WAIT_MESSAGE_S)
+        self.shell.step(DT_S)
+        self.halt = outputs.halt
+
+    def close(self):
+        self.driver.close()
+        self.shell.close()
+
+
 @pytest.mark.parametrize("bridge", ["ros2dds", "rmw_zenoh"])
-def test_driver_and_base_over_zenoh(bridge):
-    """Stand up, walk, sit down, on the real wire; time is the base's, messages are waited for."""
-    endpoint = free_endpoint()
-    server = BaseLink(bridge=bridge, mode="peer", connect=(), listen=(endpoint,))
-    shell = ZenohBase(BaseNode(LeggedBase(Puck(), EXACT), server))
-    base, node = shell.node.base, shell.node
-    driver = BaseDriver(BaseLink(bridge=bridge, connect=(endpoint,)), clock=lambda: base.clock_s)
-    keeper = PostureKeeper(EXACT.rise_s)
+def test_stands_up_walks_and_sits_down_over_zenoh(bridge, ground_settings):
+    team = Team(bridge, ground_settings)
     try:
-        told = []
-
-        def tick(velocity=STILL):
-            """A command has to arrive before time passes, and so does the odometry after it."""
-            heard, had = node.counters.commands, driver.counters.odometry
-            driver.send(velocity)
-            until(lambda: node.counters.commands > heard, wait_s=0.2)
-            shell.step(DT_S)
-            told.extend(driver.poll(0.2))
-            return driver.counters.odometry > had
-
-        assert until(tick)
-        keeper.want("stand")
-        driver.request(keeper.step(base.clock_s, 0.0))
-        (answer,) = driver.answers(WAIT_S)
-        keeper.answered(base.clock_s, *answer)
-        assert until(lambda: keeper.is_in(base.clock_s, "stand"), tick)
-        assert until(lambda: told[-1].pose.position[0] > 0.5, lambda: tick(BodyVelocity(0.5)))
-        assert told[-1].velocity.forward_m_s == pytest.approx(0.5, abs=0.02)
-        keeper.want("sit")
-        assert until(lambda: not base.walker.velocity_m_s.any(), tick)
-        assert until(lambda: keeper.step(base.clock_s, told[-1].velocity.forward_m_s) == "sit", tick)
-        driver.request("sit")
-        keeper.answered(base.clock_s, *driver.answers(WAIT_S)[0])
-        assert until(lambda: keeper.is_in(base.clock_s, "sit"), tick)
-        assert base.posture == "sit"
-        assert node.counters.damaged == node.counters.unattached == driver.counters.damaged == 0
+        assert until(lambda: team.base.posture == "stand", team.tick)
+        assert until(lambda: team.halt == "arrived", team.tick)
+        assert team.base.walker.pose.position == pytest.approx(team.points[-1], abs=0.3)
+        team.posture = "sit"
+        assert until(lambda: team.base.posture == "sit", team.tick)
+        assert team.node.counters.damaged == team.node.counters.unattached == 0
+        assert team.driver.counters.damaged == 0
     finally:
-        driver.close()
-        shell.close()
+        team.close()
+
+
+def test_a_mute_base_is_not_driven(ground_settings):
+    """Odometry ceases: the base is told to stop, though it would still obey."""
+    team = Team("ros2dds", ground_settings)
+    try:
+        team.points = np.array([[0.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
+        assert until(lambda: team.base.walker.velocity_m_s[0] > 0.6, team.tick)
+        team.base.faults.mute = True
+        assert until(lambda: team.halt == "stale odometry", team.tick)
+        assert until(lambda: not team.base.walker.velocity_m_s.any(), team.tick)
+        team.base.faults.mute = False
+        assert until(lambda: team.base.walker.velocity_m_s[0] > 0.6, team.tick)
+    finally:
+        team.close()
