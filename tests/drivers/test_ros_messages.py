@@ -196,6 +196,12 @@ def test_an_orientation_must_be_one():
         decode_odometry(message.serialize())
 
 
+@pytest.mark.parametrize("length", ["ffffffff", "02000000", "00000080"])
+def test_a_text_longer_than_its_message_is_refused(length):
+    with pytest.raises(WireError):
+        decode_trigger_reply(bytes.fromhex("0001000001000000" + length))
+
+
 @pytest.mark.parametrize("header", ["00070000", "00030000", "01010000", "ff010000"])
 def test_other_encapsulations_are_refused(header):
     payload = bytes.fromhex(header) + oracle_odometry().serialize()[4:]

@@ -147,7 +147,10 @@ def test_drift_across_the_path_is_braked_in_the_maps_frame():
     assert along == pytest.approx(0.7)
     assert across < 0.1
     turned = Bench().stand_up()
-    assert turned.run(1.5, yaw=0.2, linear=(0.7 * np.cos(0.2), -0.7 * np.sin(0.2), 0.0)).halt == ""
+    along_path = (1.4 * np.cos(0.2), -1.4 * np.sin(0.2), 0.0)
+    velocity = turned.run(1.5, yaw=0.2, linear=along_path).velocity
+    # half of the full speed for being turned by half of what stops it, nothing for drift
+    assert np.hypot(velocity.forward_m_s, velocity.left_m_s) == pytest.approx(0.35)
 
 
 def test_a_posture_that_is_not_named_stays():

@@ -77,7 +77,7 @@ def test_after_a_refused_request_no_posture_is_believed(standing):
     standing.answered(10.1, "sit", False, "walking")
     standing.want("stand")
     assert not standing.is_in(20.0, "stand")
-    assert standing.step(20.0, 0.0) == "stand"  # at once: the pause was for the other one
+    assert standing.step(10.2, 0.0) == "stand"  # at once: the pause was for the other one
 
 
 def test_answers_that_nobody_waits_for_are_ignored(keeper):
