@@ -10,6 +10,7 @@ import numpy as np
 from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
+from onboard.localization.bracket import carried_pose
 from onboard.mission import Phase
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory, RobotCore
@@ -19,11 +20,8 @@ from simulation.ground_robot import GroundRobot
 from simulation.lidar import Body, LidarSimulator
 from simulation.scene import Scene
 
-BRACKET_M = 0.15
-"""Height of a carried robot's centre above its carrier's back."""
 STAND_M = 0.5
 """Height of a flying robot's centre over the floor on the stand from which it takes off by itself."""
-BRACKET_SPACING_M = 0.45
 
 
 class Agent:
@@ -98,20 +96,14 @@ class Agent:
         return self.core.phase == Phase.DONE or self.carried
 
 
-def bracket_pose(carrier: Pose, carrier_height_m: float, place: int = 0) -> Pose:
-    """Centre of a carried robot: place 0 is the middle of the carrier's back, 1 before it, 2 behind."""
-    along = BRACKET_SPACING_M * ((place + 1) // 2) * (1 if place % 2 else -1)
-    return carrier.compose(Pose.from_rpy(np.array([along, 0.0, carrier_height_m + BRACKET_M])))
-
-
 def bracket_of(robot_id: int, robots: Sequence[RobotSettings]) -> int:
     """Which of the carrier's places an aerial robot has."""
     return [robot.id for robot in robots if robot.kind == "aerial"].index(robot_id)
 
 
-def launch_pose(start: Pose, robots: Sequence[RobotSettings], place: int = 0) -> Pose:
+def launch_pose(start: Pose, config: Config, place: int = 0) -> Pose:
     """Where an aerial robot's centre is at first: in the first ground robot's bracket, or on a stand."""
-    for robot in robots:
+    for robot in config.robots:
         if robot.kind == "ground":
-            return bracket_pose(start, robot.size_m[2], place)
+            return carried_pose(start, robot.size_m[2], config.bracket, place)
     return start.compose(Pose.from_rpy(np.array([0.0, 0.0, STAND_M])))

@@ -9,12 +9,13 @@ import numpy as np
 
 from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
+from onboard.localization.bracket import carried_pose
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory
 from onboard.robot.sensing import CLEARING_M
 from simulation.aerial_robot import AerialRobot
-from simulation.agent import Agent, bracket_of, bracket_pose, launch_pose
+from simulation.agent import Agent, bracket_of, launch_pose
 from simulation.bodies import ContactCounter
 from simulation.radio import Radio
 from simulation.scene import Scene
@@ -65,7 +66,7 @@ class Mission:
 
         start = self._start
         if settings.kind == "aerial":
-            start = launch_pose(start, self.config.robots, bracket_of(settings.id, self.config.robots))
+            start = launch_pose(start, self.config, bracket_of(settings.id, self.config.robots))
         agent = Agent(self.config, settings, scene, seed, start, log, planner)
         carried = any(robot.kind == "ground" for robot in self.config.robots)
         if isinstance(agent.body, AerialRobot) and not carried:
@@ -123,7 +124,8 @@ class Mission:
         for agent in self.agents:
             if isinstance(agent.body, AerialRobot) and agent.body.attached:
                 place = bracket_of(agent.settings.id, self.config.robots)
-                agent.body.carry(bracket_pose(self.lead.pose, self.lead.settings.size_m[2], place))
+                height_m = self.lead.settings.size_m[2]
+                agent.body.carry(carried_pose(self.lead.pose, height_m, self.config.bracket, place))
 
     def _count_meetings(self) -> None:
         """Contact between a flying robot and the body of another robot."""

@@ -102,7 +102,7 @@ def reachable(config: Config, world: World) -> Truth:
     """The free volume that a flying robot of the paper's size reaches from the start."""
     aerial = next((robot for robot in config.robots if robot.kind == "aerial"), None)
     half = (0.19, 0.19, 0.12) if aerial is None else tuple(size / 2 for size in aerial.size_m)
-    from_pose = launch_pose(Pose.from_rpy(world.start), config.robots)
+    from_pose = launch_pose(Pose.from_rpy(world.start), config)
     return Truth(
         world.vertices, world.triangles, config.map.voxel_m, from_pose.position, (half[0], half[1], half[2])
     )

@@ -167,6 +167,19 @@ class DeploymentSettings(Section):
     launch_s: Positive = 30.0
     keyframes_sent: Annotated[int, Field(ge=1)] = 300
     overhead_clearance_m: Positive = 0.8
+    colocalise: bool = False
+    """The bracket opens only once the robot aboard has told that it found itself in the carrier's map."""
+
+
+class BracketSettings(Section):
+    """Where a carrier holds its aerial robots: the initial guess of the co-localisation."""
+
+    height_m: Positive = 0.15
+    """From the carrier's back to the carried body's centre."""
+    spacing_m: Positive = 0.45
+    """Between places along the back; the first is in the middle, the second before it, the third behind."""
+    yaw_rad: Annotated[float, Field(ge=-3.1416, le=3.1416)] = 0.0
+    """Of the carried body against the carrier's."""
 
 
 class RadioSettings(Section):
@@ -203,6 +216,7 @@ class Config(Section):
     mission: MissionSettings = MissionSettings()
     map: MapSettings = MapSettings()
     deployment: DeploymentSettings = DeploymentSettings()
+    bracket: BracketSettings = BracketSettings()
     radio: RadioSettings = RadioSettings()
     robots: Annotated[tuple[RobotSettings, ...], Field(min_length=1)]
 

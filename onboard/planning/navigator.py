@@ -26,7 +26,6 @@ BLOCK_VOXELS = 8
 APPROACH_M = 1.0
 JOINED = 12
 
-
 Way = tuple[bool, bool, bool, FloatArray]
 """A way (M, 3) after what speaks against it: blocked, too long for the time left, with gaps only seen."""
 
@@ -150,11 +149,12 @@ class Navigator:
         late = self.budget.too_late(float(arrival.min()))
         return None if path is None else (self.way_blocked, late, not cautious, path)
 
-    def stop_short(self, plan: Plan, distance_m: float) -> Plan:
-        """The plan without its last metres and, where there is room, a climb to 1 m above its former end."""
-        path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
-        above = path[-1] + np.array([0.0, 0.0, np.clip(plan.path[-1, 2] + 1.0 - path[-1, 2], 0.0, 1.0)])
-        if above[2] > path[-1, 2] and self.visible(path[-1], above):
+    def stop_short(self, plan: Plan, target: FloatArray, distance_m: float) -> Plan:
+        """The plan up to `distance_m` before the target (3,), there a climb to above it if there is room."""
+        spare_m = max(0.0, distance_m - float(np.linalg.norm(target - plan.path[-1])))
+        path = truncate(plan.path, max(0.05, polyline_length(plan.path) - spare_m))
+        rise = np.array([0.0, 0.0, np.clip(target[2] + 1.0 - path[-1, 2], 0.0, 1.0)])
+        if rise.any() and self.visible(path[-1], above := path[-1] + rise):
             path = np.concatenate([path, above[None]])
         return Plan(path, plan.kind, time_s=plan.time_s)
 

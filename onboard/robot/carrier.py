@@ -3,6 +3,8 @@ meet."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from onboard.core.config import RobotSettings
@@ -15,8 +17,9 @@ from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
 from onboard.planning.regroup import Acceptor, thinned
 from onboard.robot.handover import HandOver, Outcome
+from onboard.robot.localised import Localised
 from onboard.robot.roles import Team, vector
-from onboard.sharing.messages import Ack, Commit, Message, Propose, Times, TravelTime
+from onboard.sharing.messages import Ack, Commit, Located, Message, Propose, Times, TravelTime
 
 RETRY_S = 120.0
 TIMES_SPACING_M = 3.0
@@ -38,6 +41,7 @@ class Carrier:
         self._doubt_since_s: float | None = None
         self._deployed: list[RobotSettings] = []
         self._hand_over: HandOver | None = None
+        self._localised = Localised(required=team.config.deployment.colocalise)
         self._not_before_s = 0.0
         self._times_sent_s = -np.inf
         self._decision: Decision | None = None
@@ -134,7 +138,10 @@ class Carrier:
         if not self._deployed:
             self._acceptor = Acceptor([team.sensing.sensor_pose(pose).position])
         place = self._acceptor.points[0]
-        self._hand_over = HandOver(team, self._aboard[0], self._outlook, place, now_s)
+        robot = self._aboard[0]
+        self._localised.begin()
+        veto = partial(self._localised.veto, robot.id)
+        self._hand_over = HandOver(team, robot, self._outlook, place, now_s, veto)
 
     def _deploy(self, now_s: float, pose: Pose) -> Outcome:
         """Go on with the deployment; its end changes who is aboard or when the next try is due."""
@@ -161,6 +168,8 @@ class Carrier:
                 self._acceptor.committed(message.epoch)
                 if len(self._acceptor.points) < before:
                     self._team.log("regroup", position=message.position_m, epoch=message.epoch)
+            case Located():
+                self._localised.told(source, message)
             case _:
                 pass
 

@@ -258,7 +258,7 @@ class RobotCore:
         self._report_way_back(pose, plan)
         if self.settings.kind == "ground" or len(plan.path) == 0:
             return plan
-        return self.explorer.stop_short(plan, self.team.config.mission.regroup_radius_m * 0.7)
+        return self.explorer.stop_short(plan, target, self.team.config.mission.regroup_radius_m * 0.7)
 
     def _report_way_back(self, pose: Pose, plan: Plan) -> None:
         """Tell when the way back begins or ceases to look blocked, or too long for the time that is left."""

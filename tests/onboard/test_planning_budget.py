@@ -248,11 +248,18 @@ def test_a_flying_robot_that_plans_its_last_metres_again_and_again_does_not_clim
     robot = flown((8.0, 1.0), rooms=(((0.0, 0.0, 0.0), (20.0, 2.0, 6.0)),))
     here, heights = np.array([4.0, 1.0, 1.0]), []
     for _ in range(5):
-        plan = robot.stop_short(robot.go_to(here, HOME), 2.0)
+        plan = robot.stop_short(robot.go_to(here, HOME), HOME, 2.0)
         here = plan.goal
         heights.append(here[2])
     assert heights[-1] == pytest.approx(HOME[2] + 1.0, abs=0.3)
     assert max(heights) < HOME[2] + 1.3
+
+
+def test_a_way_that_ends_beside_its_target_is_gone_to_its_end():
+    robot = flown((8.0, 1.0))
+    beside = Plan(np.array([[8.0, 1.0, 1.5], [2.8, 1.0, 1.5]]), "route")
+    for distance_m, end_x in ((0.5, 2.8), (1.8, 2.8), (2.6, 3.6)):
+        assert robot.stop_short(beside, HOME, distance_m).path[1, 0] == pytest.approx(end_x)
 
 
 def test_visiting_two_places_takes_the_ways_between_them():

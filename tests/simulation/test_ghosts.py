@@ -10,13 +10,13 @@ import pytest
 
 from ground_station.cli.terminal import default_config_path
 from onboard.codec import encode
-from onboard.core.config import Config, LidarSettings, load_config
+from onboard.core.config import BracketSettings, Config, LidarSettings, load_config
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
+from onboard.localization.bracket import carried_pose
 from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
 from onboard.robot.roles import Team
 from onboard.robot.sensing import Sensing
-from simulation.agent import bracket_pose
 from simulation.lidar import Body, LidarSimulator
 from simulation.scene import Scene
 from simulation.worlds.solids import Mesh, hull, joined
@@ -123,7 +123,7 @@ def test_carrier_mask_keeps_the_carrier_out_of_the_map_of_its_rider():
     ground = Pose.from_rpy(np.array([1.0, 0.2, 0.0]), yaw_rad=0.6)
     centre = Pose.from_rpy(ground.position + np.array([0, 0, WALKER_M[2] / 2]), yaw_rad=0.6)
     observer = team("aerial", ground.position, 0.0)
-    rider = bracket_pose(ground, WALKER_M[2])
+    rider = carried_pose(ground, WALKER_M[2], BracketSettings())
     assert hanging(masked_map(observer, rider, (centre, WALKER_M), 0.0, "os0-64")) == 0
     away = Pose.from_rpy(ground.position + np.array([2.5, 0.3, 1.3]))
     assert hanging(masked_map(observer, away, (centre, WALKER_M), 0.0, "os0-64")) == 0
