@@ -215,8 +215,7 @@ def _note(replied: list[TriggerReply], reply: zenoh.Reply) -> None:
 
 
 def _answer(posture: Posture, replied: list[TriggerReply]) -> Answer:
-    """Every base that was asked must agree; none at all is a refusal."""
+    """The reply to a request (zenoh keeps one per key); none at all is a refusal."""
     if not replied:
         return Answer(posture, False, f"nobody answered within {ANSWER_S:g} s")
-    worst = min(replied, key=lambda reply: reply.ok)
-    return Answer(posture, worst.ok, worst.text)
+    return Answer(posture, *replied[-1])
