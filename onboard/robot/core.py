@@ -15,6 +15,7 @@ from onboard.planning.cycle import TOO_LATE
 from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity
+from onboard.planning.homing import stop_short
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan, described
 from onboard.robot.carrier import Carrier
@@ -36,7 +37,8 @@ it there."""
 RETURN_CHECK_S = 1.0
 IDLE_CYCLES = 3
 LOOK_AGAIN_S = 10.0
-LINGER_S = 10.0
+LINGER_S = 3.0
+"""Who has been near the meeting point for so long has arrived: others may keep it from the very place."""
 WORTH_RESUMING_M3 = 10.0
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
 
@@ -216,7 +218,6 @@ class RobotCore:
         close = self.settings.kind == "ground" and distance <= radius / 2
         if distance > radius:
             self._near_since_s = now_s
-        # where several robots meet, they keep each other from the very place
         lingering = now_s - self._near_since_s > LINGER_S
         return distance <= radius and (settled or close or lingering)
 
@@ -269,7 +270,8 @@ class RobotCore:
         self._report_way_back(pose, plan)
         if self.settings.kind == "ground" or len(plan.path) == 0:
             return plan
-        return self.explorer.stop_short(plan, target, self.team.config.mission.regroup_radius_m * 0.7)
+        near_m = self.team.config.mission.regroup_radius_m * 0.7
+        return stop_short(plan, target, near_m, self.explorer.visible)
 
     def _report_way_back(self, pose: Pose, plan: Plan) -> None:
         """Tell when the way back begins or ceases to look blocked, or too long for the time that is left."""
