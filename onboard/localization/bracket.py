@@ -2,10 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from onboard.core.config import BracketSettings, RobotSettings
 from onboard.core.geometry import Pose
+
+
+def bracket_of(robot_id: int, robots: Sequence[RobotSettings]) -> int:
+    """Which of the carrier's places an aerial robot has."""
+    return [robot.id for robot in robots if robot.kind == "aerial"].index(robot_id)
 
 
 def carried_pose(carrier: Pose, carrier_height_m: float, bracket: BracketSettings, place: int = 0) -> Pose:

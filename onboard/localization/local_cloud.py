@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -53,6 +54,13 @@ class LocalCloud:
         self._scans.append(seen @ pose.rotation.T + pose.position)
         self._last = pose
         return True
+
+    def move(self, moved: Callable[[FloatArray], FloatArray]) -> None:
+        """The map has been drawn anew: `moved` tells where places (N, 3) of the old one are."""
+        for index, scan in enumerate(self._scans):
+            self._scans[index] = moved(scan)
+        if self._last is not None:
+            self._last = Pose(moved(self._last.position[None])[0], self._last.quaternion)
 
     def points(self) -> NDArray[np.float32]:
         """(N, 3) means of the returns in every voxel, map frame; of too many the nearest to the LiDAR."""

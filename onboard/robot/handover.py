@@ -44,7 +44,7 @@ class HandOver:
         outlook: AerialOutlook,
         regroup: FloatArray,
         now_s: float,
-        veto: Callable[[], Veto | None],
+        veto: Callable[[float], Veto | None],
     ) -> None:
         self.robot = robot
         self.release = False
@@ -90,7 +90,7 @@ class HandOver:
             return self._abort(why) if now_s - self._since_s > NO_CONTACT_S else Outcome.UNDER_WAY
         if self._repeat(now_s):
             link.post(self._target, self.robot.id)
-        veto = self._veto()
+        veto = self._veto(now_s)
         if veto is not None:
             late = now_s - self._since_s > NO_CONTACT_S
             return self._abort(veto.words) if veto.final or late else Outcome.UNDER_WAY

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from onboard.core.crc import crc32c
 from onboard.core.errors import InputError, WireError
+from onboard.sharing.correction_frames import pack_corrections, unpack_corrections
 from onboard.sharing.messages import (
     MAX_ALTERNATIVES,
     MAX_BIDS,
@@ -22,6 +23,7 @@ from onboard.sharing.messages import (
     BundleMessage,
     Chunk,
     Commit,
+    Corrections,
     Digest,
     KeyframeMessage,
     Located,
@@ -272,6 +274,7 @@ _KIND_OF: dict[type[Message], _Kind] = {
     Chunk: _Kind(12, "chunk", pack_chunk, unpack_chunk),
     Missing: _Kind(13, "missing", pack_missing, unpack_missing),
     Located: _Kind(14, "located", pack_located, unpack_located),
+    Corrections: _Kind(15, "corrections", pack_corrections, unpack_corrections),
 }
 _KIND_BY_NUMBER = {kind.number: kind for kind in _KIND_OF.values()}
 KINDS = tuple(kind.name for kind in _KIND_OF.values())

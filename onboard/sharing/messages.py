@@ -18,6 +18,7 @@ CHUNK_BYTES = 1200
 """Payload of a chunk: with its frame it fits one Ethernet packet."""
 MAX_CHUNKS = 1024
 MAX_MISSING = 64
+MAX_KNOTS = 1000
 
 
 class KeyframeMessage(msgspec.Struct, frozen=True):
@@ -173,6 +174,26 @@ class Located(msgspec.Struct, frozen=True):
     code: int
 
 
+class CorrectionKnot(msgspec.Struct, frozen=True):
+    """Keyframe `sequence` is moved by `shift_m` (5 mm on the air, at most 163 m) and turned by the rotation
+    vector `turn_rad` (0.1 mrad on the air, at most 3.27 rad), both in map axes."""
+
+    sequence: int
+    shift_m: Vector
+    turn_rad: Vector
+
+
+class Corrections(msgspec.Struct, frozen=True):
+    """Revision of all poses of `source`'s keyframes against those that they carry, linear between the knots.
+
+    Without knots: the sender holds this revision of `source`'s corrections.
+    """
+
+    source: int
+    revision: int
+    knots: tuple[CorrectionKnot, ...]
+
+
 Message = (
     KeyframeMessage
     | Digest
@@ -188,4 +209,5 @@ Message = (
     | Chunk
     | Missing
     | Located
+    | Corrections
 )

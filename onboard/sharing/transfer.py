@@ -51,13 +51,13 @@ class DataSender:
         self._wanted = [] if self.done else wanted
         self._sent_s = {k: sent_s for k, sent_s in self._sent_s.items() if k in set(wanted)}
 
-    def step(self, now_s: float) -> list[Offer | Chunk]:
-        """Messages due: chunks that are lacking, each again after `resend_s`, and the offer now and then."""
+    def step(self, now_s: float, most: int = MAX_CHUNKS) -> list[Offer | Chunk]:
+        """At most `most` lacking chunks, each again after `resend_s`, and now and then the offer."""
         if self.done:
             return []
         flying = sum(now_s - sent_s < self._resend_s for sent_s in self._sent_s.values())
         due = [k for k in self._wanted if now_s - self._sent_s.get(k, -1e9) >= self._resend_s]
-        chosen = due[: max(0, self._window - flying)]
+        chosen = due[: max(0, min(most, self._window - flying))]
         self._sent_s.update(dict.fromkeys(chosen, now_s))
         messages: list[Offer | Chunk] = [self._chunk(k) for k in chosen]
         if self._offered_s is None or now_s - self._offered_s >= _OFFER_PERIOD_S:

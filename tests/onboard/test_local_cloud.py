@@ -147,3 +147,15 @@ def test_bytes_that_unpack_to_more_than_they_announce_are_refused():
 def test_a_cloud_that_the_format_cannot_carry_is_refused(points):
     with pytest.raises(InputError):
         cloud_to_bytes(points)
+
+
+def test_a_cloud_goes_with_a_map_that_is_drawn_anew():
+    cloud, shift = LocalCloud(), np.array([0.3, -0.1, 0.05])
+    points = np.random.default_rng(4).uniform(-3.0, 3.0, (500, 3))
+    cloud.add(points, Pose.identity())
+    cloud.move(lambda places: places + shift)
+    still = LocalCloud()
+    still.add(points + shift, Pose.identity())
+    moved = Pose(shift, Pose.identity().quaternion)
+    assert np.array_equal(cloud.points(), still.points())
+    assert not cloud.add(points, moved)  # it has hardly moved since, in the new map

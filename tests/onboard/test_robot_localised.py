@@ -50,7 +50,9 @@ def hand_over(localised: Localised) -> tuple[HandOver, list[tuple[str, dict[str,
     )
     robot: Any = SimpleNamespace(id=ROBOT, name="aerial")
     outlook: Any = SimpleNamespace(targets=np.zeros((1, 3)))
-    return HandOver(team, robot, outlook, np.zeros(3), 0.0, lambda: localised.veto(ROBOT)), events
+    return HandOver(
+        team, robot, outlook, np.zeros(3), 0.0, lambda now_s: localised.veto(ROBOT, now_s)
+    ), events
 
 
 def played(localised: Localised, until_s: float, start_s: float = 0.0) -> tuple[bool, Outcome, str]:
@@ -70,7 +72,7 @@ def asked(*codes: int, name: int | None = None) -> Localised:
     localised = Localised(required=True)
     localised.begin()
     for code in codes:
-        localised.told(ROBOT, Located(localised.name if name is None else name, code))
+        localised.told(0.0, ROBOT, Located(localised.name if name is None else name, code))
     return localised
 
 
@@ -97,19 +99,21 @@ def test_without_any_word_the_carrier_waits_and_then_gives_up():
 
 
 def test_where_poses_are_given_nothing_is_asked():
-    assert Localised(required=False).veto(ROBOT) is None
+    assert Localised(required=False).veto(ROBOT, 0.1) is None
     assert played(Localised(required=False), 5.0)[0]
 
 
 def test_word_of_another_deployment_or_robot_does_not_count():
     assert played(asked(Reason.ACCEPTED, name=7), 5.0)[0] is False
     localised = asked()
-    localised.told(ROBOT + 1, Located(localised.name, Reason.ACCEPTED))
-    assert localised.veto(ROBOT) is not None
+    localised.told(0.0, ROBOT + 1, Located(localised.name, Reason.ACCEPTED))
+    assert localised.veto(ROBOT, 0.1) is not None
     localised = asked(Reason.ACCEPTED)
-    assert localised.veto(ROBOT) is None
+    assert localised.veto(ROBOT, 0.1) is None
     localised.begin()
-    assert localised.veto(ROBOT) == Veto("the aerial robot has not found itself in the map yet", final=False)
+    assert localised.veto(ROBOT, 0.1) == Veto(
+        "the aerial robot has not found itself in the map yet", final=False
+    )
 
 
 def test_the_last_word_counts_and_unknown_codes_are_refusals():

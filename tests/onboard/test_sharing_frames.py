@@ -26,6 +26,8 @@ from onboard.sharing.messages import (
     Chunk,
     ChunkRange,
     Commit,
+    CorrectionKnot,
+    Corrections,
     Digest,
     KeyframeMessage,
     Located,
@@ -87,6 +89,11 @@ statuses = st.builds(
 travel_times = st.builds(TravelTime, u32, positions, u16.map(lambda t: t * 0.1))
 bids = st.builds(BidMessage, positions, u32.map(lambda steps: steps * 0.001))
 bundles = st.builds(BundleMessage, u8, u16.map(lambda t: t * 0.1), st.lists(bids, max_size=4).map(tuple))
+turns = st.tuples(*[st.integers(-(1 << 15), (1 << 15) - 1).map(lambda t: t * 1e-4)] * 3)
+shifts = st.tuples(*[st.integers(-(1 << 15), (1 << 15) - 1).map(lambda s: s * 0.005)] * 3)
+knots = st.lists(
+    st.builds(CorrectionKnot, u32, shifts, turns), max_size=8, unique_by=lambda knot: knot.sequence
+).map(lambda found: tuple(sorted(found, key=lambda knot: knot.sequence)))
 messages = st.one_of(
     st.builds(KeyframeMessage, u8, u32, stamps, st.binary(max_size=300)),
     digests,
@@ -102,6 +109,7 @@ messages = st.one_of(
     st.builds(Chunk, u16, u32, st.integers(0, MAX_CHUNKS - 1), st.binary(max_size=300)),
     missing(),
     st.builds(Located, u16, u8),
+    st.builds(Corrections, u8, u32, knots),
 )
 
 
@@ -161,6 +169,9 @@ def test_hostile_bodies_with_a_good_checksum_decode_or_are_refused(kind: int, bo
         Chunk(0, 0, 0, bytes(CHUNK_BYTES + 1)),
         Missing(0, 0, tuple(ChunkRange(2 * k, 1) for k in range(MAX_MISSING + 1))),
         Located(0, 256),
+        Corrections(1, 1, (CorrectionKnot(0, (164.0, 0.0, 0.0), (0.0, 0.0, 0.0)),)),
+        Corrections(1, 1, (CorrectionKnot(0, (0.0, 0.0, 0.0), (0.0, 0.0, float("nan"))),)),
+        Corrections(1, 1, (CorrectionKnot(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),) * 1001),
     ],
     ids=repr,
 )
@@ -170,8 +181,8 @@ def test_what_the_format_cannot_carry_is_refused_before_sending(message: Message
 
 
 def test_counts_are_bounded_before_anything_is_read() -> None:
-    longest = bytes(6) + b"\xff\xff"
-    bodies = [(5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff"), (10, b"\xff")]
+    longest, knots = bytes(6) + b"\xff\xff", bytes(5) + b"\xff\xff"
+    bodies = [(5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff"), (10, b"\xff"), (15, knots)]
     for kind, body in [*bodies, (11, bytes(2) + b"\xff" * 8), (12, longest), (13, longest)]:
         head = bytes([1, kind, 0, 1]) + body
         with pytest.raises(WireError, match="items, at most"):
@@ -190,8 +201,15 @@ def test_digest_ranges_must_ascend_with_gaps(ranges: tuple[tuple[int, int], ...]
         unpack(pack(Digest(0.0, (SourceRanges(0, ranges),)), 0, 1))
 
 
+@pytest.mark.parametrize("numbers", [(5, 5), (6, 5)])
+def test_knots_of_a_correction_ascend(numbers: tuple[int, int]) -> None:
+    knots = tuple(CorrectionKnot(number, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for number in numbers)
+    with pytest.raises(WireError, match="ascend"):
+        unpack(pack(Corrections(1, 1, knots), 0, 1))
+
+
 def test_unknown_versions_and_kinds_are_refused() -> None:
-    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 15, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
+    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 16, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
         with pytest.raises(WireError, match="unknown version"):
             unpack(head + struct.pack("<I", crc32c(head)))
 
