@@ -4,8 +4,9 @@
     -> RELEASING -> RELEASED; whatever is not as it should be -> FAULT, which `lock` acknowledges
 
 The permission comes from outside (`onboard.safety.allow_release`) in every step and is needed up to the frame
-that fires. A fault tells the bracket to de-energise in two ways: by a lock command, and by heartbeats without
-HostOk. After a fault nothing is tried again before it was acknowledged.
+that fires; after it only a fault or `lock` stops the latch halfway. A fault tells the bracket to de-energise
+in two ways: by a lock command, and by heartbeats without HostOk. After a fault nothing is tried again
+before it was acknowledged.
 """
 
 from __future__ import annotations

@@ -74,6 +74,13 @@ class Bench:
             assert self.now_s - start_s < limit_s, self.host.report()
         return self.now_s - start_s
 
+    def until_sent(self, name: str, times: int = 1) -> None:
+        """Permit the release until a message of this name was on the bus so often."""
+        start_s = self.now_s
+        while len(self.sent(name)) < times:
+            self.tick(permitted=True)
+            assert self.now_s - start_s < 10.0, self.host.report()
+
     def until_state(self, state: State, permitted: bool = False) -> float:
         return self.until(lambda report: report.state == state, permitted)
 

@@ -224,6 +224,7 @@ def test_without_the_host_the_drive_loses_its_voltage_after_half_a_second(bench)
     died_s, bench.host_runs = bench.now_s, False
     while bench.drive.energised:
         bench.tick()
+        assert bench.now_s - died_s < 5.0
     assert bench.now_s - died_s <= 0.5 + 2 * STEP_S + 1e-9
     position = bench.drive.latch.position
     bench.run(1.0)
