@@ -27,6 +27,21 @@ Written by `python -m benchmarks.missions`; everything between markers is replac
 
 <!-- exploration:begin -->
 <!-- exploration:end -->
+
+## Planning cycle
+
+<!-- planning:begin -->
+<!-- planning:end -->
+
+## Odometry
+
+<!-- odometry:begin -->
+<!-- odometry:end -->
+
+## Drift
+
+<!-- drift:begin -->
+<!-- drift:end -->
 """
 COLUMNS = (
     "world",
@@ -39,6 +54,7 @@ COLUMNS = (
     "coverage",
     "merged F1",
     "unsafe26",
+    "pose off by at most, m (g/a)",
     "collisions (g/a)",
     "keyframes (g/a)",
     "kB sent",
@@ -85,10 +101,10 @@ def number(value: float | None, digits: int = 0) -> str:
     return MISSING if value is None else f"{value:.{digits}f}"
 
 
-def per_robot(run: dict[str, Any], key: str) -> str:
+def per_robot(run: dict[str, Any], key: str, digits: int = 0) -> str:
     """The value of each robot, in the team's order, separated by slashes."""
     values = (robot[key] for robot in run["robots"].values())
-    return "/".join(number(value) for value in values)
+    return "/".join(number(value, digits) for value in values)
 
 
 def sent_kb(run: dict[str, Any]) -> float:
@@ -119,6 +135,7 @@ def mission_row(pair: Pair) -> list[str]:
         number(run["coverage"], 3),
         number(run["merged"]["occ_f1"], 3),
         number(run["merged"]["unsafe26"], 5),
+        per_robot(run, "worst_pose_error_m", 2),
         per_robot(run, "collisions"),
         per_robot(run, "keyframes"),
         number(sent_kb(run)),

@@ -18,9 +18,10 @@ from onboard.core.lidar import lidar_model
 KINDS = (".pcap", ".pcapng", ".rawlog", ".osf", ".db3", ".mcap", *SUFFIXES)
 
 
-def open_recording(path: Path, sensor: str | None = None) -> Recording:
+def open_recording(path: Path, sensor: str | None = None, rate_hz: float | None = None) -> Recording:
     """Open `path`; `sensor` is the nominal LiDAR's name, needed only where the files do not tell.
 
+    `rate_hz`: so many scans a second, for point cloud files whatever their names tell.
     Raises InputError, one line, for a missing path, an empty file, an unknown kind, missing metadata, a
     sensor that contradicts the recording, and a recording without a single usable scan.
     """
@@ -30,7 +31,7 @@ def open_recording(path: Path, sensor: str | None = None) -> Recording:
         raise InputError(f"{path}: empty file")
     if sensor is not None:
         lidar_model(sensor)
-    recording = _open(path)
+    recording = _open(path, rate_hz)
     if sensor is not None and recording.model_name not in (None, sensor):
         raise InputError(
             f"{path}: {recording.sensor_name} maps as '{recording.model_name}', not as '{sensor}'"
@@ -45,12 +46,14 @@ def open_recording(path: Path, sensor: str | None = None) -> Recording:
     )
 
 
-def _open(path: Path) -> Recording:
+def _open(path: Path, rate_hz: float | None) -> Recording:
     bag = bag_folder(path)
+    if bag is None and (path.is_dir() or path.suffix in SUFFIXES):
+        return open_scan_files(path, rate_hz)
+    if rate_hz is not None:
+        raise InputError(f"{path}: --rate is for point cloud files; packets tell their times themselves")
     if bag is not None:
         return open_bag(bag)
-    if path.is_dir() or path.suffix in SUFFIXES:
-        return open_scan_files(path)
     match path.suffix:
         case ".rawlog":
             return open_rawlog(path)

@@ -17,6 +17,7 @@ from ground_station.mesh import surface_mesh, write_mesh
 from ground_station.octomap import write_octomap
 from ground_station.record import Marker, RunRecord
 from ground_station.recording_session import RecordingSession, RecordingSettings
+from ground_station.reference import Reference, compared, read_tum
 from ground_station.report import write_report
 from onboard.core.errors import InputError
 
@@ -35,20 +36,24 @@ def map_recording(
     out: Path,
     progress: Progress | None = None,
     settings: RecordingSettings | None = None,
+    reference: Path | None = None,
 ) -> dict[str, Any]:
     """Map the recording at `path` into the folder `out` and return the metrics.
 
     Writes trajectory.txt (TUM: stamp x y z qx qy qz qw), keyframes.bin, map.ply, map.png, metrics.json and
     report.html, and map.bt and mesh.ply where the settings ask for them. `sensor` names the nominal LiDAR
-    where the recording does not tell. After Ctrl-C, or when the recording breaks in the middle, everything is
-    written for the scans before ('complete' is then false).
+    where the recording does not tell; `reference` is a TUM file with the known poses of the sensor: how far
+    ours are from it comes under "reference". After Ctrl-C, or when the recording breaks in the middle,
+    everything is written for the scans before ('complete' is then false).
     Raises InputError for a recording or folder that cannot be used.
     """
-    recording = open_recording(path, sensor)
+    settings = settings or RecordingSettings()
+    known = None if reference is None else read_tum(reference)
+    recording = open_recording(path, sensor, settings.rate_hz)
     try:
         out.mkdir(parents=True, exist_ok=True)
         with (out / "trajectory.txt").open("w") as track, (out / "keyframes.bin").open("wb") as keyframes:
-            session = RecordingSession(recording, settings or RecordingSettings(), track, keyframes)
+            session = RecordingSession(recording, settings, track, keyframes)
             broken = _run(session, recording, progress)
     except OSError as error:
         raise InputError(f"{out}: cannot write the results: {error.strerror}") from error
@@ -57,6 +62,8 @@ def map_recording(
             f"{path}: interrupted before the first scan was located, or too few returns in it"
         )
     metrics = session.metrics()
+    if known is not None:
+        broken = _compare(known, session, metrics) or broken
     _write_results(out, path.name, session, metrics)
     if broken is not None:
         raise broken
@@ -75,6 +82,16 @@ def _run(session: RecordingSession, recording: Recording, progress: Progress | N
     except InputError as error:
         return error
     session.complete = True
+    return None
+
+
+def _compare(known: Reference, session: RecordingSession, metrics: dict[str, Any]) -> InputError | None:
+    """Enter the errors; an error is handed back so that the results get written first."""
+    stamps_s = session.table()[:, 0]
+    try:
+        metrics["reference"] = compared(known, stamps_s, session.poses[: len(stamps_s)])
+    except InputError as error:
+        return error
     return None
 
 

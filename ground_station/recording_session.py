@@ -15,7 +15,8 @@ from ground_station.range_image import likely_model_name, to_range_image
 from onboard.codec import decode, encode
 from onboard.core.geometry import Pose, rotation_angle
 from onboard.core.lidar import LidarModel, lidar_model
-from onboard.localization.odometry import Odometry, OdometryResult
+from onboard.localization.estimate import Estimate
+from onboard.localization.odometry import Odometry
 from onboard.mapping.compare import compare_maps
 from onboard.mapping.tsdf import TsdfBand
 from onboard.mapping.voxel_map import VoxelMap
@@ -39,6 +40,8 @@ class RecordingSettings:
     octomap: bool = False
     mesh: bool = False
     """What to write besides the map: a tree for OctoMap, a mesh."""
+    rate_hz: float | None = None
+    """Scans a second of point cloud files; by their names, else 10, unless given."""
 
 
 @dataclass(eq=False)
@@ -55,6 +58,9 @@ class RecordingSession:
     odometry_ms: list[float] = field(default_factory=list)
     map_ms: list[float] = field(default_factory=list)
     lost_scans: int = 0
+    degenerate_scans: int = 0
+    jumps: int = 0
+    poses: list[Pose] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         self.odometry = Odometry()
@@ -78,11 +84,13 @@ class RecordingSession:
     def add(self, scan: LidarScan) -> None:
         """Locate and map one scan; a scan that the odometry refuses is counted and left out."""
         start_s = time.perf_counter()
-        located = self.odometry.step(scan.points, scan.stamp_s, scan.offsets_s)
+        located = self.odometry.step(scan.stamp_s, scan.points, scan.offsets_s)
         self.odometry_ms.append((time.perf_counter() - start_s) * 1e3)
-        if not located.converged:
+        if not located.ok:
             self.lost_scans += 1
             return
+        self.degenerate_scans += int(len(located.degenerate) > 0)
+        self.jumps += int(located.jump)
         model = self.model(located.points)
         start_s = time.perf_counter()
         self.map.integrate(located.points, located.pose.matrix(), min_range_m=model.min_range_m)
@@ -103,7 +111,7 @@ class RecordingSession:
         limits = self.settings
         return moved_m > limits.keyframe_translation_m or turned_rad > limits.keyframe_rotation_rad
 
-    def _add_keyframe(self, located: OdometryResult, model: LidarModel, stamp_s: float) -> None:
+    def _add_keyframe(self, located: Estimate, model: LidarModel, stamp_s: float) -> None:
         """Encode, store, and map what a peer would decode."""
         image = to_range_image(located.points, model, stamp_s)
         data = encode(image, located.pose, budget_bytes=self.settings.keyframe_budget_bytes)
@@ -120,7 +128,8 @@ class RecordingSession:
         numbers = " ".join(f"{v:.6f}" for v in (x, y, z, *pose.quaternion))
         self.track.write(f"{stamp_s:.6f} {numbers}\n")
         self.track.flush()
-        # one append per scan: an interrupt never leaves series of unequal length
+        # the row last: an interrupt never leaves more rows than poses
+        self.poses.append(pose)
         self.rows.append((stamp_s, x, y, z, self.known_m3(), float(sum(self.keyframe_bytes))))
 
     def table(self) -> NDArray[np.float64]:
@@ -142,6 +151,8 @@ class RecordingSession:
             "complete": self.complete,
             "scans": len(self.odometry_ms),
             "lost_scans": self.lost_scans,
+            "degenerate_scans": self.degenerate_scans,
+            "jumps": self.jumps,
             "duration_s": float(track[-1, 0] - track[0, 0]) if len(track) else 0.0,
             "path_m": float(steps_m.sum()),
             "keyframes": len(self.keyframe_bytes),

@@ -50,7 +50,7 @@ DEPARTED_M = 2.0
 
 @dataclass(frozen=True, slots=True)
 class Verdict:
-    """Whether something is allowed; `reason` names everything that speaks against it, empty when nothing does."""
+    """Whether something is allowed; `reason` names everything that speaks against it, or is empty."""
 
     ok: bool
     reason: str = ""
@@ -82,7 +82,7 @@ def _level(tilt_rad: float | None, limit_rad: float) -> bool:
 
 
 def _since(stamp_s: float | None, now_s: float) -> float | None:
-    return None if stamp_s is None else now_s - stamp_s
+    return now_s - stamp_s if stamp_s is not None and math.isfinite(stamp_s) else None
 
 
 def _within(value: float, bounds: tuple[float, float]) -> bool:
@@ -170,9 +170,9 @@ def _half_turn(angle: float) -> float:
 def still_since(
     since_s: float | None, last_s: float, now_s: float, speed: float, turn: float
 ) -> float | None:
-    """Since when the base has stood still, given an odometry sample at `now_s` and the one before at `last_s`.
+    """Since when the base has stood still, given odometry at `now_s` and the sample before at `last_s`.
 
-    `speed` in m/s, `turn` in rad/s. None while it moves, after a gap and when time goes backwards.
+    `speed` in m/s, `turn` in rad/s. None while it moves; after a gap the count begins anew.
     """
     standing = abs(speed) < STANDING_M_S and abs(turn) < STANDING_RAD_S
     if not standing:
@@ -224,7 +224,7 @@ def allow_take_off(facts: TakeOffFacts) -> Verdict:
             (facts.colocalised, "co-localisation is not accepted"),
             (facts.vehicle_ready, "autopilot is not ready"),
             (fresh(facts.vehicle_stamp_s, now_s, VEHICLE_S), "autopilot is silent"),
-            (_at_least(facts.charge, facts.charge_needed), "battery too low"),
+            (_at_least(facts.charge, facts.charge_needed), "battery too low, or unknown"),
             (_at_least(facts.overhead_m, facts.climb_m), "not known to be free above"),
         ]
     )
@@ -252,7 +252,10 @@ def allow_base_motion(command: BaseCommand, facts: BaseFacts, limits: BaseLimits
             (abs(command.yaw_rate) <= limits.yaw_rate_rad_s, "turns too fast"),
             (_level(facts.tilt_rad, limits.tilt_rad), "tilted too far"),
             (facts.phase in WALKING, "phase is not one to walk in"),
-            (facts.bracket in BRACKET_AT_REST, "bracket is at work, faulty or unknown"),
+            (
+                facts.bracket in BRACKET_AT_REST or facts.bracket_empty,
+                "bracket holds a robot and is at work, faulty or unknown",
+            ),
             (facts.departed, "a released robot is still close"),
         ]
     )

@@ -142,5 +142,7 @@ class BaseFacts:
     tilt_rad: float | None = None
     bracket: str | None = None
     """State that the bracket reports; NO_BRACKET on a robot that has none."""
+    bracket_empty: bool | None = None
+    """The robot that it held has left: then the bracket's state does not matter any more."""
     departed: bool | None = None
     """No released robot is still close to its carrier."""

@@ -10,24 +10,24 @@ import numpy as np
 from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
+from onboard.localization.bracket import carried_pose
 from onboard.mission import Phase
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory, RobotCore
 from onboard.robot.interface import Inputs, Log, Outputs
+from onboard.robot.map_frame import Estimated, Given, MapFrame
 from simulation.aerial_robot import AerialRobot
 from simulation.ground_robot import GroundRobot
 from simulation.lidar import Body, LidarSimulator
+from simulation.localisation import EstimatedLocalisation, Localisation, Poses, TrueLocalisation
 from simulation.scene import Scene
 
-BRACKET_M = 0.15
-"""Height of a carried robot's centre above its carrier's back."""
 STAND_M = 0.5
 """Height of a flying robot's centre over the floor on the stand from which it takes off by itself."""
-BRACKET_SPACING_M = 0.45
 
 
 class Agent:
-    """Steps core and body together. `pose` is what the (perfect) localisation tells the core."""
+    """Steps core and body together. `pose` is the true one; the core is told what `localisation` says."""
 
     def __init__(
         self,
@@ -38,6 +38,7 @@ class Agent:
         start: Pose,
         log: Log,
         planner: PlannerFactory = Explorer,
+        poses: Poses = "estimated",
     ) -> None:
         self.settings = settings
         noise = np.random.default_rng([seed, settings.id, 7])
@@ -49,7 +50,13 @@ class Agent:
             self.body = GroundRobot(settings, scene, start.position, start.yaw)
         else:
             self.body = AerialRobot(settings, scene, start)
-        self.core = RobotCore(config, settings, seed, self.body.pose, log, time.perf_counter, planner)
+        carried = settings.kind == "aerial" and any(robot.kind == "ground" for robot in config.robots)
+        self.localisation, frame = localised(poses, settings, self.body.pose, seed, carried=carried)
+        self.core = RobotCore(config, settings, seed, self.body.pose, log, time.perf_counter, planner, frame)
+        self.believed = self.body.pose
+        """Where the core thought the body to be in its last step."""
+        self.pose_error_m = self.worst_pose_error_m = 0.0
+        """Distance between where the core believes the body to be and where it is: now, and at most."""
         self.inbox: list[bytes] = []
         self.path: list[tuple[float, float, float, float]] = []
 
@@ -73,23 +80,34 @@ class Agent:
         return self.pose.compose(lift), self.settings.size_m
 
     def scan(self, now_s: float, others: Sequence[Body]) -> tuple[Scan, Scan] | None:
-        """The measured and the perfect scan if one is due and the core maps."""
-        if now_s + 1e-9 < self._next_scan_s or not self.core.maps():
+        """The measured and the perfect scan if one is due and the core wants it."""
+        if now_s + 1e-9 < self._next_scan_s or not self.core.looks():
             return None
         self._next_scan_s = now_s + self._scan_period_s
         return self._lidar.scan(self.core.sensing.sensor_pose(self.pose), now_s, others)
 
-    def think(self, now_s: float, scan: Scan | None) -> Outputs:
-        """One cycle of the core on what the sensors say."""
+    def think(self, now_s: float, dt_s: float, scan: Scan | None) -> Outputs:
+        """One cycle of the core on what the sensors say, `dt_s` after the one before."""
+        self.localisation.moved(self.pose, dt_s)
+        if scan is not None:
+            self.localisation.scanned(scan)
         frames, self.inbox = tuple(self.inbox), []
-        return self.core.step(Inputs(now_s, self.pose, self.body.battery_left, scan, frames))
+        inputs = Inputs(now_s, self.localisation.told(), self.body.battery_left, scan, frames)
+        outputs = self.core.step(inputs)
+        self.believed = self.core.team.frame.pose(inputs.told)
+        if not self.carried:
+            self.pose_error_m = float(np.linalg.norm(self.believed.position - self.pose.position))
+            self.worst_pose_error_m = max(self.worst_pose_error_m, self.pose_error_m)
+        return outputs
 
     def move(self, now_s: float, dt_s: float, outputs: Outputs) -> None:
-        """Move the body as commanded."""
+        """Move the body as commanded, in directions as the core believes them to be."""
+        turn = Pose.from_rpy(np.zeros(3), yaw_rad=self.pose.yaw - self.believed.yaw)
+        velocity = turn.rotation @ outputs.velocity.linear
         if isinstance(self.body, GroundRobot):
-            self.body.step(dt_s, outputs.velocity.linear[:2], outputs.velocity.yaw_rate)
+            self.body.step(dt_s, velocity[:2], outputs.velocity.yaw_rate)
         else:
-            self.body.step(dt_s, outputs.velocity.linear, outputs.velocity.yaw_rate)
+            self.body.step(dt_s, velocity, outputs.velocity.yaw_rate)
         x, y, z = self.pose.position
         self.path.append((now_s, float(x), float(y), float(z)))
 
@@ -98,20 +116,24 @@ class Agent:
         return self.core.phase == Phase.DONE or self.carried
 
 
-def bracket_pose(carrier: Pose, carrier_height_m: float, place: int = 0) -> Pose:
-    """Centre of a carried robot: place 0 is the middle of the carrier's back, 1 before it, 2 behind."""
-    along = BRACKET_SPACING_M * ((place + 1) // 2) * (1 if place % 2 else -1)
-    return carrier.compose(Pose.from_rpy(np.array([along, 0.0, carrier_height_m + BRACKET_M])))
+def localised(
+    poses: Poses, settings: RobotSettings, start: Pose, seed: int, carried: bool
+) -> tuple[Localisation, MapFrame]:
+    """The localisation of a robot at `start` in the map's frame, and what its core makes of the poses.
+
+    One that is carried has to find out by itself where it is.
+    """
+    if poses == "true":
+        return TrueLocalisation(start), Given()
+    mount = Pose.from_rpy(np.array(settings.lidar.mount_m))
+    noise = np.random.default_rng([seed, settings.id, 13])
+    known = None if carried else start
+    return EstimatedLocalisation(start, mount, noise), Estimated(settings.id, mount, known)
 
 
-def bracket_of(robot_id: int, robots: Sequence[RobotSettings]) -> int:
-    """Which of the carrier's places an aerial robot has."""
-    return [robot.id for robot in robots if robot.kind == "aerial"].index(robot_id)
-
-
-def launch_pose(start: Pose, robots: Sequence[RobotSettings], place: int = 0) -> Pose:
+def launch_pose(start: Pose, config: Config, place: int = 0) -> Pose:
     """Where an aerial robot's centre is at first: in the first ground robot's bracket, or on a stand."""
-    for robot in robots:
+    for robot in config.robots:
         if robot.kind == "ground":
-            return bracket_pose(start, robot.size_m[2], place)
+            return carried_pose(start, robot.size_m[2], config.bracket, place)
     return start.compose(Pose.from_rpy(np.array([0.0, 0.0, STAND_M])))

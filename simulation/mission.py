@@ -9,13 +9,15 @@ import numpy as np
 
 from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
+from onboard.localization.bracket import bracket_of, carried_pose
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory
 from onboard.robot.sensing import CLEARING_M
 from simulation.aerial_robot import AerialRobot
-from simulation.agent import Agent, bracket_of, bracket_pose, launch_pose
+from simulation.agent import Agent, launch_pose
 from simulation.bodies import ContactCounter
+from simulation.localisation import Poses
 from simulation.radio import Radio
 from simulation.scene import Scene
 from simulation.worlds import World
@@ -25,6 +27,12 @@ SEPARATION_S = 5.0
 """After a release, contact between the two robots counts as a collision from this time on."""
 
 EventSink = Callable[..., None]
+
+
+def with_colocalisation(config: Config) -> Config:
+    """The configuration for robots of which those aboard do not know where they are."""
+    deployment = config.deployment.model_copy(update={"colocalise": True})
+    return config.model_copy(update={"deployment": deployment})
 
 
 class Mission:
@@ -38,14 +46,15 @@ class Mission:
         seed: int,
         events: EventSink,
         planner: PlannerFactory = Explorer,
+        poses: Poses = "estimated",
     ) -> None:
-        self.config = config
+        self.config = config if poses == "true" else with_colocalisation(config)
         self.world = world
         self.now_s = 0.0
         self.ticks = 0
         self._events = events
         self._start = Pose.from_rpy(world.start, yaw_rad=world.start_yaw_rad)
-        self.agents = [self._make(settings, scene, seed, planner) for settings in config.robots]
+        self.agents = [self._make(settings, scene, seed, planner, poses) for settings in config.robots]
         self.by_id = {agent.settings.id: agent for agent in self.agents}
         self.carriers = [agent for agent in self.agents if agent.settings.kind == "ground"]
         self.lead = self.carriers[0] if self.carriers else self.agents[0]
@@ -59,14 +68,16 @@ class Mission:
         self.deployment: dict[str, Any] | None = None
         self.seed = seed
 
-    def _make(self, settings: RobotSettings, scene: Scene, seed: int, planner: PlannerFactory) -> Agent:
+    def _make(
+        self, settings: RobotSettings, scene: Scene, seed: int, planner: PlannerFactory, poses: Poses
+    ) -> Agent:
         def log(kind: str, **fields: Any) -> None:
             self._events(round(self.now_s, 3), kind, robot=settings.name, **fields)
 
         start = self._start
         if settings.kind == "aerial":
-            start = launch_pose(start, self.config.robots, bracket_of(settings.id, self.config.robots))
-        agent = Agent(self.config, settings, scene, seed, start, log, planner)
+            start = launch_pose(start, self.config, bracket_of(settings.id, self.config.robots))
+        agent = Agent(self.config, settings, scene, seed, start, log, planner, poses)
         carried = any(robot.kind == "ground" for robot in self.config.robots)
         if isinstance(agent.body, AerialRobot) and not carried:
             agent.body.release()
@@ -100,7 +111,7 @@ class Mission:
                 sensor,
                 min_range_m=perfect.model.min_range_m,
             )
-        outputs = agent.think(self.now_s, None if scans is None else scans[0])
+        outputs = agent.think(self.now_s, TICK_S, None if scans is None else scans[0])
         for target, frame in outputs.frames:
             self.radio.send(self.now_s, agent.settings.id, target, frame)
         if outputs.release:
@@ -123,7 +134,8 @@ class Mission:
         for agent in self.agents:
             if isinstance(agent.body, AerialRobot) and agent.body.attached:
                 place = bracket_of(agent.settings.id, self.config.robots)
-                agent.body.carry(bracket_pose(self.lead.pose, self.lead.settings.size_m[2], place))
+                height_m = self.lead.settings.size_m[2]
+                agent.body.carry(carried_pose(self.lead.pose, height_m, self.config.bracket, place))
 
     def _count_meetings(self) -> None:
         """Contact between a flying robot and the body of another robot."""

@@ -24,6 +24,7 @@ from onboard.robot.core import PlannerFactory
 from onboard.robot.roles import vector
 from simulation.agent import launch_pose
 from simulation.coverage import Coverage
+from simulation.localisation import Poses
 from simulation.mission import Mission
 from simulation.scene import Scene
 from simulation.scoring import is_complete, merged_map, metrics, volume_m3
@@ -55,20 +56,22 @@ def simulate(
     planner: PlannerFactory = Explorer,
     report: bool = True,
     octomap: bool = False,
+    poses: Poses = "estimated",
 ) -> dict[str, Any]:
     """Run a mission and write metrics.json, map.ply, events.jsonl and report.html into the directory `out`;
     with `octomap` also map.bt.
 
     `team` is "both", "ground" or "aerial". Returns the metrics. After ctrl-C the directory holds what
     there is and KeyboardInterrupt goes on. `planner` makes the planner of every robot;
-    without `report` there is no report.html. Raises InputError for a start without ground or room to fly.
+    without `report` there is no report.html. With `poses` "true" the robots are told where they are. Raises
+    InputError for a start without ground or room to fly.
     """
     started = time.perf_counter()
     config = within_world(select_team(config, team), world)
     scene = Scene(world.vertices, world.triangles)
     truth = reachable(config, world)
     with EventLog(out / "events.jsonl") as events:
-        run = Run(config, world, scene, seed, events, planner, Coverage(truth))
+        run = Run(config, world, scene, seed, events, planner, Coverage(truth), poses)
         try:
             run.loop(progress)
         finally:
@@ -102,7 +105,7 @@ def reachable(config: Config, world: World) -> Truth:
     """The free volume that a flying robot of the paper's size reaches from the start."""
     aerial = next((robot for robot in config.robots if robot.kind == "aerial"), None)
     half = (0.19, 0.19, 0.12) if aerial is None else tuple(size / 2 for size in aerial.size_m)
-    from_pose = launch_pose(Pose.from_rpy(world.start), config.robots)
+    from_pose = launch_pose(Pose.from_rpy(world.start), config)
     return Truth(
         world.vertices, world.triangles, config.map.voxel_m, from_pose.position, (half[0], half[1], half[2])
     )
@@ -120,8 +123,9 @@ class Run:
         events: EventLog,
         planner: PlannerFactory,
         coverage: Coverage,
+        poses: Poses,
     ) -> None:
-        self.mission = Mission(config, world, scene, seed, self._event, planner)
+        self.mission = Mission(config, world, scene, seed, self._event, planner, poses)
         self._coverage = coverage
         self._events = events
         self._timeline: dict[str, list[float]] = {}

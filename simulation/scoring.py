@@ -98,6 +98,8 @@ def _robot(mission: Mission, agent: Agent) -> dict[str, Any]:
         "plan_ms_p50": _percentile(plans, 50),
         "plan_ms_p99": _percentile(plans, 99),
         "map_ms_p50": _percentile(maps, 50),
+        "pose_error_m": round(agent.pose_error_m, 3),
+        "worst_pose_error_m": round(agent.worst_pose_error_m, 3),
         "home": bool(home),
         "home_t_s": None if core.arrived_s is None or not home else round(core.arrived_s, 1),
     }

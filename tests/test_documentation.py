@@ -11,7 +11,7 @@ import pytest
 from pydantic import BaseModel
 from pydantic_core import PydanticUndefined
 
-from onboard.core.config import Config, RobotSettings
+from onboard.core.config import BaseLink, Config, RobotSettings
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
@@ -47,6 +47,11 @@ def table() -> dict[str, str]:
 
 def test_every_configuration_key_is_documented_with_its_default() -> None:
     assert table() == {key: shown(default) for key, default in keys(Config)}
+
+
+def test_every_key_of_the_base_is_documented() -> None:
+    first_column = re.findall(r"^\| ((?:`\w+`(?:, )?)+) \|", (ROOT / "docs/base.md").read_text(), re.M)
+    assert set(re.findall(r"\w+", " ".join(first_column))) == set(BaseLink.model_fields)
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)

@@ -7,9 +7,11 @@ import json
 import sys
 from pathlib import Path
 
+from benchmarks import tables
 from benchmarks.planning.edges import false_free
 from benchmarks.planning.measure import measure, summary
 from benchmarks.planning.recording import record
+from benchmarks.planning.report import document
 from onboard.core.config import load_config
 from simulation.worlds import world_by_name
 
@@ -25,6 +27,7 @@ def main() -> None:
     parser.add_argument("--until", type=float, default=180.0, help="seconds of each mission")
     parser.add_argument("--every", type=int, default=3, help="keep every n-th planning cycle")
     parser.add_argument("--edges", type=int, default=100_000, help="edges compared with brute force")
+    parser.add_argument("--table", type=Path, help="file whose section 'planning' is replaced")
     given = parser.parse_args()
     given.out.mkdir(parents=True, exist_ok=True)
     config = load_config(CONFIG)
@@ -40,6 +43,8 @@ def main() -> None:
         result["all"] = summary(rows)
         (given.out / "rows.json").write_text(json.dumps(rows, indent=1), encoding="utf-8")
         (given.out / "summary.json").write_text(json.dumps(result, indent=1), encoding="utf-8")
+    if given.table:
+        tables.write_section(given.table, "planning", document(result))
     sys.stdout.write(json.dumps(result, indent=1) + "\n")
 
 

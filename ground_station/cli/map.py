@@ -38,6 +38,16 @@ def map_recording(
     mesh: Annotated[
         bool, typer.Option("--mesh", help="Also write mesh.ply, the surfaces as triangles.")
     ] = False,
+    reference: Annotated[
+        Path | None,
+        typer.Option(metavar="TRAJ", help="Known poses (TUM file): print ATE and RPE.", show_default=False),
+    ] = None,
+    rate: Annotated[
+        float | None,
+        typer.Option(
+            metavar="HZ", min=0.01, help="Scans a second of point cloud files (else by name, or 10)."
+        ),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the metrics as JSON and nothing else.")
     ] = False,
@@ -50,6 +60,8 @@ def map_recording(
       marsupial map corridor.pcap --sensor vlp-16 --out corridor
 
       marsupial map cellar.pcap --sensor os0-64 --json --out cellar
+
+      marsupial map scans --rate 10 --reference groundtruth.txt --out scans-map
     """
     if not recording.exists():
         raise InputError(f"{recording}: no such recording")
@@ -58,10 +70,10 @@ def map_recording(
     from ground_station.recording import map_recording as run
     from ground_station.recording_session import RecordingSettings
 
-    settings = RecordingSettings(octomap=bt, mesh=mesh)
+    settings = RecordingSettings(octomap=bt, mesh=mesh, rate_hz=rate)
 
     with progress_bar(visible=not as_json) as report:
-        metrics = run(recording, sensor.value if sensor else None, out, report, settings)
+        metrics = run(recording, sensor.value if sensor else None, out, report, settings, reference)
     terminal.finish(recording.name, metrics, [], out, as_json)
     if metrics.get("complete") is False:  # control-C: the map of the scans before it has been written
         raise KeyboardInterrupt

@@ -32,6 +32,13 @@ class Team(StrEnum):
     AERIAL = "aerial"
 
 
+class Poses(StrEnum):
+    """Where the robots get their poses from."""
+
+    ESTIMATED = "estimated"
+    TRUE = "true"
+
+
 def simulate(
     *,
     world: Annotated[
@@ -51,6 +58,9 @@ def simulate(
         Path | None,
         typer.Option(metavar="FILE", help="Team and mission (TOML); the shipped team unless given."),
     ] = None,
+    poses: Annotated[
+        Poses, typer.Option(help="'estimated': by their own LiDARs; 'true': they are told where they are.")
+    ] = Poses.ESTIMATED,
     bt: Annotated[bool, typer.Option("--bt", help="Also write map.bt, a tree for OctoMap.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print the metrics as JSON and nothing else.")
@@ -80,7 +90,16 @@ def simulate(
     from simulation.run import simulate as run
 
     with progress_bar(visible=not as_json) as report:
-        metrics = run(settings, scene, seed=seed, out=out, team=team.value, progress=report, octomap=bt)
+        metrics = run(
+            settings,
+            scene,
+            seed=seed,
+            out=out,
+            team=team.value,
+            progress=report,
+            octomap=bt,
+            poses=poses.value,
+        )
     robots = [robot.name for robot in settings.robots]
     terminal.finish(f"{world}, seed {seed}", metrics, robots, out, as_json)
 

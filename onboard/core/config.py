@@ -18,6 +18,8 @@ Vector = tuple[float, float, float]
 Size = tuple[Positive, Positive, Positive]
 Port = Annotated[int, Field(ge=1, le=65_535)]
 MaskCorner = tuple[Annotated[float, Field(ge=-6.3, le=6.3)], Annotated[float, Field(ge=-1.6, le=1.6)]]
+RosName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za-z0-9_]*)*$", max_length=200)]
+"""Name of a ROS topic, service or namespace without its leading slash."""
 MaskPolygon = Annotated[tuple[MaskCorner, ...], Field(min_length=3, max_length=64)]
 
 
@@ -101,6 +103,33 @@ class PlannerSettings(Section):
     home_margin_ratio: Ratio = 0.05
 
 
+class BaseLink(Section):
+    """How a legged base is driven: ROS 2 messages over zenoh (docs/base.md)."""
+
+    bridge: Literal["ros2dds", "rmw_zenoh"]
+    """What runs on the base: zenoh-bridge-ros2dds beside a DDS, or ROS 2 on rmw_zenoh itself."""
+    mode: Literal["client", "peer"] = "client"
+    connect: tuple[str, ...] = ("tcp/127.0.0.1:7447",)
+    listen: tuple[str, ...] = ()
+    domain: Annotated[int, Field(ge=0, le=232)] = 0
+    """ROS_DOMAIN_ID of the base; part of the keys of rmw_zenoh only."""
+    type_hashes: bool = True
+    """Whether the base's ROS 2 has them: all but Humble; part of the keys of rmw_zenoh only."""
+    namespace: RosName | Literal[""] = ""
+    command_topic: RosName = "cmd_vel"
+    command_type: Literal["TwistStamped", "Twist"] = "TwistStamped"
+    odometry_topic: RosName = "odom"
+    sit_service: RosName = "sit"
+    stand_service: RosName = "stand"
+    frame: str = "base_link"
+    rate_hz: Annotated[float, Field(ge=5, le=100)] = 20.0
+    """Commands a second; a base stops by itself when they cease."""
+    stairs_speed_m_s: Positive = 0.35
+    """On ground as steep as stairs, up and down."""
+    settle_s: NonNegative = 3.0
+    """After the base has agreed to stand up or to sit down, until it has."""
+
+
 class RobotSettings(Section):
     """One member of the team: body, motion, sensor, planner."""
 
@@ -114,6 +143,7 @@ class RobotSettings(Section):
     lidar: LidarSettings
     keyframes: KeyframeSettings
     planner: PlannerSettings = PlannerSettings()
+    base: BaseLink | None = None
     step_max_m: NonNegative = 0.25
     slope_max_rad: SlopeAngle = 0.5236
     slope_down_max_rad: SlopeAngle | None = None
@@ -137,6 +167,19 @@ class DeploymentSettings(Section):
     launch_s: Positive = 30.0
     keyframes_sent: Annotated[int, Field(ge=1)] = 300
     overhead_clearance_m: Positive = 0.8
+    colocalise: bool = False
+    """The bracket opens only once the robot aboard has told that it found itself in the carrier's map."""
+
+
+class BracketSettings(Section):
+    """Where a carrier holds its aerial robots: the initial guess of the co-localisation."""
+
+    height_m: Positive = 0.15
+    """From the carrier's back to the carried body's centre."""
+    spacing_m: Positive = 0.45
+    """Between places along the back; the first is in the middle, the second before it, the third behind."""
+    yaw_rad: Annotated[float, Field(ge=-3.1416, le=3.1416)] = 0.0
+    """Of the carried body against the carrier's."""
 
 
 class RadioSettings(Section):
@@ -173,6 +216,7 @@ class Config(Section):
     mission: MissionSettings = MissionSettings()
     map: MapSettings = MapSettings()
     deployment: DeploymentSettings = DeploymentSettings()
+    bracket: BracketSettings = BracketSettings()
     radio: RadioSettings = RadioSettings()
     robots: Annotated[tuple[RobotSettings, ...], Field(min_length=1)]
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,6 +61,17 @@ def quaternion_from_rotation(rotation: FloatArray) -> FloatArray:
     return q if q[3] >= 0 else -q
 
 
+def quaternion_product(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Unit quaternion xyzw with w >= 0 of the rotation `b` followed by `a`."""
+    (ax, ay, az, aw), (bx, by, bz, bw) = a.tolist(), b.tolist()
+    x = aw * bx + ax * bw + ay * bz - az * by
+    y = aw * by - ax * bz + ay * bw + az * bx
+    z = aw * bz + ax * by - ay * bx + az * bw
+    w = aw * bw - ax * bx - ay * by - az * bz
+    scale = math.copysign(1.0 / math.sqrt(x * x + y * y + z * z + w * w), w)
+    return np.array([scale * x, scale * y, scale * z, scale * w])
+
+
 def rotation_angle(a: FloatArray, b: FloatArray) -> float:
     """Angle in radians between two unit quaternions xyzw."""
     return float(2 * np.arccos(np.clip(abs(float(np.dot(a, b))), 0.0, 1.0)))
@@ -111,8 +123,9 @@ class Pose:
 
     def compose(self, child: Pose) -> Pose:
         """`self` followed by `child`, the latter given in this pose's frame."""
-        return Pose.from_matrix(self.matrix() @ child.matrix())
+        position = self.position + self.rotation @ child.position
+        return Pose(position, quaternion_product(self.quaternion, child.quaternion))
 
     def inverse(self) -> Pose:
-        rotation = self.rotation.T
-        return Pose(-rotation @ self.position, quaternion_from_rotation(rotation))
+        x, y, z, w = self.quaternion
+        return Pose(-self.rotation.T @ self.position, np.array([-x, -y, -z, w]))

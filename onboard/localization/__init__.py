@@ -1,1 +1,1 @@
-"""LiDAR odometry."""
+"""LiDAR odometry, co-localisation, and the back end that closes loops."""

@@ -1,210 +1,283 @@
-"""LiDAR odometry: GICP registration of every scan against a submap of the last key scans.
-
-Generalised ICP (Segal et al., RSS 2009) from small_gicp; point-to-point methods drag behind a wide-angle
-sensor because the rings on floor and ceiling travel with it.
-"""
+"""LiDAR odometry: every scan is registered to planes of the scans before, with what other sensors tell."""
 
 from __future__ import annotations
 
-from collections import deque
-from dataclasses import dataclass, field
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
-import small_gicp
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from onboard.core.geometry import FloatArray, Pose
+from onboard.localization.alignment import Aligner, Alignment
+from onboard.localization.drift import EVERYTHING, Drift
+from onboard.localization.estimate import Estimate
+from onboard.localization.lie import between
+from onboard.localization.odometry_state import OdometryState
+from onboard.localization.plane_map import GRID_TURN, PlaneMap
+from onboard.localization.prediction import Belief, Prior, RelativeMotion, guess, informed, steady
+from onboard.localization.scale import WayScale
+from onboard.localization.settings import OdometrySettings
+from onboard.localization.thinning import Sweep, Thinned, Thinner
 
 Points = NDArray[np.float32]
+NOWHERE = np.zeros((0, 6))
+USUAL_GAIN = 0.1
+_GRID = Pose.from_matrix(np.block([[GRID_TURN, np.zeros((3, 1))], [np.zeros((1, 3)), np.ones((1, 1))]]))
+"""The odometry frame in that of the plane map."""
 
 
-@dataclass(frozen=True, slots=True)
-class OdometrySettings:
-    """Tuning of the odometry; the defaults suit 10 Hz scans of a walking-pace robot in and out of doors."""
+class _Match(NamedTuple):
+    """A registration with what it began from; `refusal`: why it cannot be right, empty if it can."""
 
-    downsampling_m: float = 0.25
-    min_range_m: float = 0.4
-    max_range_m: float = 60.0
-    neighbours: int = 12
-    key_scans: int = 20
-    key_translation_m: float = 0.5
-    key_rotation_rad: float = 0.35
-    search_m: tuple[float, ...] = (1.0, 0.5)
-    """Correspondence distances: a wide pass catches the prediction's error, a tight one drops outliers."""
-    wide_search_m: tuple[float, ...] = (3.0, 1.0, 0.5)
-    """The same for the second attempt, which starts from the last pose instead of the prediction."""
-    min_points: int = 60
-    min_inlier_ratio: float = 0.45
-    max_speed_m_s: float = 15.0
-    max_correction_m: float = 3.0
-    """Farther than this from where the search started a match is a look-alike."""
+    prior: Prior
+    thinned: Thinned
+    found: Alignment
+    refusal: str
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class OdometryResult:
-    """Outcome of one step.
-
-    `pose` is the sensor in the odometry frame (the first scan's sensor frame) at the scan's stamp; when
-    `converged` is false it is the last good pose. `inlier_ratio` is the share of downsampled points that
-    found a partner, `error` the mean GICP cost of those. `points` are the scan's finite points, motion within
-    the sweep taken out.
-    """
-
-    pose: Pose
-    converged: bool
-    inlier_ratio: float
-    error: float
-    points: Points
-
-
-@dataclass(slots=True, eq=False)
-class _Submap:
-    """Registration target: the last key scans in the odometry frame, voxelised together."""
-
-    settings: OdometrySettings
-    scans: deque[FloatArray] = field(init=False)
-    cloud: small_gicp.PointCloud = field(init=False)
-    tree: small_gicp.KdTree = field(init=False)
-    key_pose: Pose = field(init=False)
-
-    def __post_init__(self) -> None:
-        self.scans = deque(maxlen=self.settings.key_scans)
-
-    def add(self, points: FloatArray, pose: Pose) -> None:
-        """Take in a downsampled key scan given in the sensor frame."""
-        self.scans.append(points @ pose.rotation.T + pose.position)
-        self.key_pose = pose
-        near = np.concatenate(self.scans)
-        near = near[np.linalg.norm(near - pose.position, axis=1) < self.settings.max_range_m]
-        self.cloud, self.tree = small_gicp.preprocess_points(
-            near, self.settings.downsampling_m, self.settings.neighbours
-        )
-
-    def wants(self, pose: Pose) -> bool:
-        """Whether the robot has moved enough since the last key scan."""
-        step = self.key_pose.inverse().compose(pose)
-        return bool(
-            np.linalg.norm(step.position) > self.settings.key_translation_m
-            or _angle(step) > self.settings.key_rotation_rad
-        )
+def _sigma_m(prior: Prior) -> float:
+    """How far off the predicted position may be."""
+    return float(np.sqrt(np.trace(prior.covariance[:3, :3])))
 
 
 class Odometry:
-    """Tracks the sensor's pose scan by scan; the odometry frame is the first scan's sensor frame."""
+    """Tracks the sensor's pose scan by scan."""
 
     def __init__(self, settings: OdometrySettings | None = None) -> None:
-        self._settings = settings or OdometrySettings()
-        self._submap = _Submap(self._settings)
-        self._pose = Pose.identity()
-        self._stamp_s: float | None = None
-        self._linear_m_s = np.zeros(3)
-        self._angular_rad_s = np.zeros(3)
+        self.settings = settings or OdometrySettings()
+        self.scale = WayScale()
+        self._thin = Thinner()
+        self._drift = Drift()
+        self._belief: Belief | None = None
+        self._lost_scans = 0
+        self._last = np.zeros((0, 3), dtype=np.float32)
+        self._usual_ratio = 0.0
+        self._renew()
+
+    @classmethod
+    def restored(cls, data: bytes, settings: OdometrySettings | None = None) -> Odometry:
+        """Go on in the frame of an odometry that was saved: where it was, its last scan the map.
+
+        If the next scan does not fit that one, the map begins anew there, with a covariance for the time
+        between. Raises InputError for damaged data.
+        """
+        state = OdometryState.from_bytes(data)
+        odometry = cls(settings)
+        limits = odometry.settings
+        odometry._belief = Belief.first(state.stamp_s, _GRID.compose(state.pose), limits.motion)
+        odometry._drift = Drift(state.covariance)
+        odometry.scale = WayScale(*state.scale)
+        points = state.points.astype(np.float64)
+        thinned = Thinned(points, np.zeros(len(points)), np.ones(len(points)))
+        odometry._insert(thinned, odometry._belief.pose)
+        odometry._lost_scans = limits.give_up
+        return odometry
+
+    def saved(self) -> bytes:
+        """A state for `restored`; empty before the first scan."""
+        if self._belief is None:
+            return b""
+        covariance = self._drift.total(self._belief.covariance[:6, :6], self.scale.variance)
+        scale = (self.scale.share, self.scale.variance)
+        return OdometryState(self._belief.stamp_s, self.pose, covariance, scale, self._last).to_bytes()
 
     @property
     def pose(self) -> Pose:
-        """Last good pose."""
-        return self._pose
+        """The last estimate's."""
+        return Pose.identity() if self._belief is None else _GRID.inverse().compose(self._belief.pose)
 
-    def step(self, points: Points, stamp_s: float, offsets_s: Points | None = None) -> OdometryResult:
+    def step(
+        self,
+        stamp_s: float,
+        points: Points,
+        offsets_s: Points | None = None,
+        prediction: RelativeMotion | None = None,
+    ) -> Estimate:
         """Register a scan.
 
-        `points` (N, 3) in metres in the sensor frame; `offsets_s` (N,) seconds of every point relative to
-        `stamp_s`, with which the motion during the sweep is taken out. A scan that does not fit (too few
-        points, too few inliers, an impossible jump) leaves the pose as it was.
+        `points` (N, 3) in metres in the sensor frame, rows with NaN are left out; `offsets_s` (N,) seconds of
+        every point relative to `stamp_s`, None for a scan taken at once. `prediction`: what other sensors
+        tell of the motion since the step before; needed where the sensor may move in an unforeseen way by
+        more than about 0.5 m or 20 degrees between scans.
         """
-        finite = np.isfinite(points).all(axis=1)
-        still = self._undistorted(points[finite], None if offsets_s is None else offsets_s[finite])
-        source = self._prepared(still)
-        if source is None:
-            return OdometryResult(self._pose, False, 0.0, np.inf, still)
-        if self._stamp_s is None:
-            self._stamp_s = stamp_s
-            self._submap.add(source.points()[:, :3], self._pose)
-            return OdometryResult(self._pose, True, 1.0, 0.0, still)
-        pose, ratio, error = self._registered(source, stamp_s)
-        if pose is None:
-            self._linear_m_s, self._angular_rad_s = np.zeros(3), np.zeros(3)
-            return OdometryResult(self._pose, False, ratio, error, still)
-        self._advance(pose, stamp_s)
-        if self._submap.wants(pose):
-            self._submap.add(source.points()[:, :3], pose)
-        return OdometryResult(pose, True, ratio, error, still)
+        sweep = Sweep.of(points, offsets_s)
+        if self._belief is None:
+            return self._begun(stamp_s, sweep)
+        if stamp_s <= self._belief.stamp_s:
+            return self._estimate(sweep.points, reason="older than the scan before")
+        prior = self._predicted(self._belief, stamp_s, prediction)
+        still = sweep.still(prior.twist)
+        thinned = self._thinned(still, sweep)
+        if len(thinned.points) < self.settings.min_points:
+            return self._missed(prior, still, None, "too few points")
+        match = self._registered(self._belief, prior, thinned, sweep)
+        if match.refusal:
+            return self._missed(prior, still, thinned, match.refusal, match.found.inlier_ratio)
+        jump = self._jumped(prior, match.found)
+        return self._accepted(self._belief, match, None if jump else prediction, sweep, jump)
 
-    def _prepared(self, points: Points) -> small_gicp.PointCloud | None:
-        """The downsampled source with covariances, or None when too little of it is in range."""
-        distance = np.linalg.norm(points, axis=1)
-        kept = (distance > self._settings.min_range_m) & (distance < self._settings.max_range_m)
-        if int(kept.sum()) < self._settings.min_points:
-            return None
-        cloud, _ = small_gicp.preprocess_points(
-            points[kept].astype(np.float64), self._settings.downsampling_m, self._settings.neighbours
+    def _begun(self, stamp_s: float, sweep: Sweep) -> Estimate:
+        thinned = self._thinned(sweep.points, sweep)
+        if len(thinned.points) < self.settings.min_points:
+            return self._estimate(sweep.points, reason="too few points", stamp_s=stamp_s)
+        self._belief = Belief.first(stamp_s, _GRID, self.settings.motion)
+        self._insert(self._thinned(sweep.points, sweep, self.settings.first_cell_m), _GRID)
+        return self._estimate(sweep.points, inlier_ratio=1.0)
+
+    def _predicted(self, belief: Belief, stamp_s: float, told: RelativeMotion | None) -> Prior:
+        if told is None:
+            return steady(belief, stamp_s, self.settings.motion)
+        corrected = replace(told, motion=self.scale.corrected(told.motion))
+        return informed(belief, stamp_s, corrected, self.scale.variance, self.settings.motion)
+
+    def _thinned(self, still: Points, sweep: Sweep, cell_m: float | None = None) -> Thinned:
+        limits = (self.settings.min_range_m, self.settings.max_range_m)
+        return self._thin(still, sweep.offsets_s, cell_m or self.settings.cell_m, limits)
+
+    def _registered(self, belief: Belief, prior: Prior, thinned: Thinned, sweep: Sweep) -> _Match:
+        """From the prediction; where that fails, leads far away or fits poorly, from the last pose as
+        well."""
+        found = self._aligner.align(thinned.few(self.settings.points), prior)
+        match = _Match(prior, thinned, found, self._refusal(belief, prior, found))
+        jumped = self._jumped(prior, found)
+        poor = not self._weak and found.inlier_ratio < self.settings.poor * self._usual_ratio
+        if not match.refusal and not jumped and not poor:
+            return match
+        start = replace(guess(belief, prior.stamp_s, self.settings.motion), twist=belief.twist)
+        thinned = self._thinned(sweep.still(start.twist), sweep)
+        found = self._aligner.align(thinned.few(self.settings.points), start, wide=True)
+        other = _Match(start, thinned, found, self._refusal(belief, start, found))
+        better = found.inlier_ratio > self.settings.better * match.found.inlier_ratio
+        return match if not match.refusal and not jumped and (other.refusal or not better) else other
+
+    def _refusal(self, belief: Belief, prior: Prior, found: Alignment) -> str:
+        """Why an alignment cannot be right; empty if it can."""
+        limits = self.settings
+        vague = _sigma_m(prior) > limits.vague_m
+        if found.matched < limits.min_matched * found.points:
+            return "unknown place"
+        least = limits.min_vague_ratio if vague else limits.min_inlier_ratio
+        if found.fitting < limits.min_fitting * found.matched or found.inlier_ratio < least:
+            return "does not fit"
+        moved_m = np.linalg.norm(found.pose.position - belief.pose.position)
+        corrected_m = np.linalg.norm(found.pose.position - prior.pose.position)
+        elapsed_s = max(prior.stamp_s - belief.stamp_s, 0.1)
+        if moved_m > limits.max_speed_m_s * elapsed_s or corrected_m > limits.max_correction_m:
+            return "impossible jump"
+        return ""
+
+    def _jumped(self, prior: Prior, found: Alignment) -> bool:
+        off_m = np.linalg.norm(found.pose.position - prior.pose.position)
+        return bool(off_m > self.settings.jump_m + self.settings.jump_sigmas * _sigma_m(prior))
+
+    def _accepted(
+        self, belief: Belief, match: _Match, told: RelativeMotion | None, sweep: Sweep, jump: bool
+    ) -> Estimate:
+        found, prior = match.found, match.prior
+        motion = belief.pose.inverse().compose(found.pose)
+        self._belief = Belief(prior.stamp_s, found.pose, prior.twist + found.twist, found.covariance)
+        renewed = float(np.linalg.norm(motion.position)) / self.settings.renewal_m
+        free = found.conditioning.free
+        self._drift.follow(motion, renewed, found.covariance[:6, :6] - found.blind, free)
+        if told is None or found.conditioning.weak:
+            self.scale.restart()
+        else:
+            self.scale.watch(told.motion, motion)
+        still = sweep.still(self._belief.twist)
+        self._lost_scans = 0
+        self._weak = found.conditioning.weak > 0
+        usual = self._usual_ratio or found.inlier_ratio
+        self._usual_ratio = usual + USUAL_GAIN * (found.inlier_ratio - usual)
+        self._last = match.thinned.few(self.settings.inserted).points.astype(np.float32)
+        if self._wants(found.pose):
+            way = found.pose.rotation.T @ (found.pose.position - self._key_pose.position)
+            self._drift.mapped(found.blind, free @ np.concatenate([way, np.zeros(3)]))
+            first = self._key_scans < self.settings.first_scans
+            cell_m = self.settings.first_cell_m if first else self.settings.cell_m
+            self._insert(self._thinned(still, sweep, cell_m), found.pose)
+        return self._estimate(
+            still,
+            degenerate=found.conditioning.axes(),
+            jump=jump,
+            inlier_ratio=found.inlier_ratio,
         )
-        return cloud if cloud.size() >= self._settings.min_points else None
 
-    def _registered(self, source: small_gicp.PointCloud, stamp_s: float) -> tuple[Pose | None, float, float]:
-        """Best pose from the predicted start, else from the last pose; None when neither fits."""
-        ratio, error = 0.0, np.inf
-        starts = (
-            (self._predicted(stamp_s), self._settings.search_m),
-            (self._pose, self._settings.wide_search_m),
+    def _missed(
+        self, prior: Prior, still: Points, thinned: Thinned | None, reason: str, inlier_ratio: float = 0.0
+    ) -> Estimate:
+        """The prediction stands in for the scan; without one the last pose, at rest."""
+        before, covariance = self._belief, prior.covariance
+        pose, twist, motion = prior.pose, prior.twist, prior.motion
+        if not prior.told and before is not None:
+            covariance = covariance.copy()
+            covariance[:6, :6] += np.outer(*2 * (between(Pose.identity(), motion),))
+            pose, twist, motion = before.pose, np.zeros(6), Pose.identity()
+        self._belief = Belief(prior.stamp_s, pose, twist, covariance)
+        self._drift.follow(motion, 0.0, np.zeros((6, 6)), EVERYTHING)
+        self.scale.restart()
+        self._lost_scans += 1
+        if thinned is None or self._lost_scans <= self.settings.give_up:
+            return self._estimate(still, degenerate=EVERYTHING, reason=reason, inlier_ratio=inlier_ratio)
+        return self._anew(self._belief, still, thinned)
+
+    def _anew(self, belief: Belief, still: Points, thinned: Thinned) -> Estimate:
+        """A new map where the robot is thought to be."""
+        self._drift.settle(self._drift.total(belief.covariance[:6, :6], self.scale.variance))
+        self._belief = replace(
+            Belief.first(belief.stamp_s, belief.pose, self.settings.motion), twist=belief.twist
         )
-        for start, search_m in starts:
-            transform, ratio, error = self._aligned(source, start.matrix(), search_m)
-            pose = Pose.from_matrix(transform)
-            if ratio >= self._settings.min_inlier_ratio and self._possible(pose, start, stamp_s):
-                return pose, ratio, error
-        return None, ratio, error
+        self._lost_scans = 0
+        self._renew()
+        self._insert(thinned, belief.pose)
+        return self._estimate(still, jump=True, reason="map begun anew")
 
-    def _aligned(
-        self, source: small_gicp.PointCloud, transform: FloatArray, search_m: tuple[float, ...]
-    ) -> tuple[FloatArray, float, float]:
-        ratio, error = 0.0, np.inf
-        for distance_m in search_m:
-            result = small_gicp.align(
-                self._submap.cloud,
-                source,
-                self._submap.tree,
-                init_T_target_source=transform,
-                registration_type="GICP",
-                max_correspondence_distance=distance_m,
-                num_threads=1,
-            )
-            transform = result.T_target_source
-            ratio = result.num_inliers / source.size()
-            error = result.error / max(result.num_inliers, 1)
-        return transform, float(ratio), float(error)
+    def _renew(self) -> None:
+        self._map = PlaneMap(self.settings.max_cells)
+        self._aligner = Aligner(self._map, self.settings.alignment, self.settings.motion)
+        self._key_pose, self._key_scans = _GRID, 0
+        self._usual_ratio, self._weak = 0.0, False
 
-    def _predicted(self, stamp_s: float) -> Pose:
-        """Constant velocity in the body frame since the last good pose."""
-        elapsed_s = stamp_s - (self._stamp_s or 0.0)
-        turn = Rotation.from_rotvec(self._angular_rad_s * elapsed_s)
-        return self._pose.compose(Pose(self._linear_m_s * elapsed_s, turn.as_quat()))
+    def _wants(self, pose: Pose) -> bool:
+        """Whether a scan at this pose goes into the map."""
+        step = between(self._key_pose, pose)
+        shift, turn = np.linalg.norm(step[:3]), np.linalg.norm(step[3:])
+        limits = self.settings
+        return bool(
+            self._key_scans < limits.first_scans
+            or shift > limits.key_translation_m
+            or turn > limits.key_rotation_rad
+        )
 
-    def _possible(self, pose: Pose, start: Pose, stamp_s: float) -> bool:
-        elapsed_s = max(stamp_s - (self._stamp_s or 0.0), 0.1)
-        moved_m = np.linalg.norm(pose.position - self._pose.position)
-        corrected_m = np.linalg.norm(pose.position - start.position)
-        limits = self._settings
-        return bool(moved_m <= limits.max_speed_m_s * elapsed_s and corrected_m <= limits.max_correction_m)
+    def _insert(self, thinned: Thinned, pose: Pose) -> None:
+        """Put points, motion within the sweep taken out, into the map."""
+        points = thinned.few(self.settings.inserted).points
+        self._map.insert(points @ pose.rotation.T + pose.position, pose.position)
+        self._map.forget(pose.position, self.settings.map_radius_m)
+        self._key_pose = pose
+        self._key_scans += 1
 
-    def _advance(self, pose: Pose, stamp_s: float) -> None:
-        elapsed_s = stamp_s - (self._stamp_s or 0.0)
-        if elapsed_s > 0:
-            step = self._pose.inverse().compose(pose)
-            self._linear_m_s = step.position / elapsed_s
-            self._angular_rad_s = Rotation.from_quat(step.quaternion).as_rotvec() / elapsed_s
-        self._pose, self._stamp_s = pose, stamp_s
-
-    def _undistorted(self, points: Points, offsets_s: Points | None) -> Points:
-        """Every point as seen from where the sensor was at the scan's stamp, at constant velocity."""
-        still = not self._linear_m_s.any() and not self._angular_rad_s.any()
-        if offsets_s is None or still or not len(points):
-            return points
-        turns = Rotation.from_rotvec(offsets_s[:, None] * self._angular_rad_s)
-        moved = turns.apply(points) + offsets_s[:, None] * self._linear_m_s
-        return np.asarray(moved, dtype=np.float32)
-
-
-def _angle(pose: Pose) -> float:
-    return float(2 * np.arccos(np.clip(abs(pose.quaternion[3]), 0.0, 1.0)))
+    def _estimate(
+        self,
+        points: Points,
+        degenerate: FloatArray = NOWHERE,
+        jump: bool = False,
+        reason: str = "",
+        inlier_ratio: float = 0.0,
+        stamp_s: float | None = None,
+    ) -> Estimate:
+        belief = self._belief or Belief.first(stamp_s or 0.0, _GRID, self.settings.motion)
+        covariance = self._drift.total(belief.covariance[:6, :6], self.scale.variance)
+        ok = not reason or jump
+        return Estimate(
+            belief.stamp_s,
+            self.pose,
+            covariance,
+            belief.twist,
+            degenerate,
+            ok,
+            jump,
+            reason,
+            inlier_ratio,
+            points,
+        )

@@ -99,6 +99,13 @@ class Edges:
         self._neighbours[edge[0]].discard(edge[1])
         self._neighbours[edge[1]].discard(edge[0])
 
+    def moved(self, points: FloatArray) -> Edges:
+        """The same ways between nodes that are elsewhere now (N, 3); they are to be tested again."""
+        there = Edges(self._block_m, self._reach_m)
+        for edge, way in self.ways.items():
+            there.add(*edge, points[edge[0]], points[edge[1]]).walked = way.walked
+        return there
+
     def blocked(self) -> list[Edge]:
         """The ways that look blocked now."""
         return [edge for edge, way in self.ways.items() if way.blocked]

@@ -150,6 +150,14 @@ class GlobalGraph:
             self._changed()
         return len(edges)
 
+    def move(self, moved: Callable[[FloatArray], FloatArray]) -> None:
+        """The map has been drawn anew: `moved` tells where places (N, 3) of the old one are."""
+        used = np.isfinite(self.points).all(axis=1)
+        self.points[used] = moved(self.points[used])
+        self.edges = self.edges.moved(self.points)
+        self._untested = list(self.edges.ways)
+        self._changed()
+
     def looks_blocked(self, nodes: list[int]) -> bool:
         """Whether a way on this route looks blocked."""
         return any(self.edges.ways[ordered(a, b)].blocked for a, b in pairwise(nodes))

@@ -6,11 +6,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.config import RobotSettings
-from onboard.planning.global_graph import GlobalGraph
-from onboard.planning.local_graph import FloatArray, LocalGraph
+from onboard.planning.global_graph import GlobalGraph, Visible
+from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
+from onboard.planning.plan import Plan
 
 FREE_TURN_RAD = 0.4
 """Turns up to this one are taken while moving."""
+DOUBTFUL = 2.0
 TRIED_BEHIND = 4
 """Nodes behind a blocked leg to which a local way is looked for."""
 
@@ -39,6 +41,24 @@ def times_over_graph(
     return np.where(np.isfinite(costs), _summed(leg_s, after), np.inf)
 
 
+def times_back(
+    graph: GlobalGraph,
+    homes: NDArray[np.int64],
+    offsets_s: FloatArray,
+    settings: RobotSettings,
+    cautious: bool = True,
+) -> FloatArray:
+    """Seconds (N,) from each node to a place that is `offsets_s` (K,) from the nodes `homes` (K,), inf where
+    there is no way; `cautious`: by ways that the robot has gone or that have room to spare."""
+    if len(homes) == 0:
+        return np.full(len(graph.points), np.inf)
+    sources = tuple(int(node) for node in homes)
+    last_s = np.zeros(len(graph.points))
+    last_s[homes] = offsets_s
+    nearest = np.maximum(graph.tree(sources, cautious)[2], 0)
+    return np.asarray(times_over_graph(graph, sources, settings, cautious) + last_s[nearest])
+
+
 def past_what_blocks(graph: GlobalGraph, local: LocalGraph, nodes: list[int]) -> FloatArray | None:
     """(M, 3) way on from what blocks a route of nodes, where the local graph reaches a place behind it."""
     legs = [leg for leg in range(len(nodes) - 1) if graph.looks_blocked(nodes[leg : leg + 2])]
@@ -47,6 +67,16 @@ def past_what_blocks(graph: GlobalGraph, local: LocalGraph, nodes: list[int]) ->
         if near is not None:
             return np.concatenate([near, graph.points[nodes[behind + 1 :]]])
     return None
+
+
+def stop_short(plan: Plan, target: FloatArray, distance_m: float, visible: Visible) -> Plan:
+    """The plan up to `distance_m` before the target (3,), there a climb to above it if there is room."""
+    spare_m = max(0.0, distance_m - float(np.linalg.norm(target - plan.path[-1])))
+    path = truncate(plan.path, max(0.05, polyline_length(plan.path) - spare_m))
+    rise = np.array([0.0, 0.0, np.clip(target[2] + 1.0 - path[-1, 2], 0.0, 1.0)])
+    if rise.any() and visible(path[-1], above := path[-1] + rise):
+        path = np.concatenate([path, above[None]])
+    return Plan(path, plan.kind, time_s=plan.time_s)
 
 
 def _turns(points: FloatArray, after: NDArray[np.int64]) -> FloatArray:

@@ -13,8 +13,8 @@ from onboard.planning.air_space import Area
 from onboard.planning.body import Body, Statuses
 from onboard.planning.budget import Budget
 from onboard.planning.global_graph import LINK_M, GlobalGraph
-from onboard.planning.homing import past_what_blocks, times_over_graph
-from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
+from onboard.planning.homing import DOUBTFUL, past_what_blocks, times_back, times_over_graph
+from onboard.planning.local_graph import FloatArray, LocalGraph
 from onboard.planning.plan import NOTHING, Plan
 from onboard.planning.selection import travel_time
 from onboard.planning.worth import SEEN_M
@@ -25,7 +25,6 @@ ROOM_M = 0.25
 BLOCK_VOXELS = 8
 APPROACH_M = 1.0
 JOINED = 12
-
 
 Way = tuple[bool, bool, bool, FloatArray]
 """A way (M, 3) after what speaks against it: blocked, too long for the time left, with gaps only seen."""
@@ -150,17 +149,10 @@ class Navigator:
         late = self.budget.too_late(float(arrival.min()))
         return None if path is None else (self.way_blocked, late, not cautious, path)
 
-    def stop_short(self, plan: Plan, distance_m: float) -> Plan:
-        """The plan without its last metres and, where there is room, a climb to 1 m above its former end."""
-        path = truncate(plan.path, max(0.05, polyline_length(plan.path) - distance_m))
-        above = path[-1] + np.array([0.0, 0.0, np.clip(plan.path[-1, 2] + 1.0 - path[-1, 2], 0.0, 1.0)])
-        if above[2] > path[-1, 2] and self.visible(path[-1], above):
-            path = np.concatenate([path, above[None]])
-        return Plan(path, plan.kind, time_s=plan.time_s)
-
     def times_to(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> FloatArray:
-        """Seconds (N,) to reference points (N, 3) over the global graph, inf where it does not reach."""
-        times = self.times_from_here(point)
+        """Seconds (N,) to reference points (N, 3) over the global graph, inf where it does not reach; by
+        nothing that the robot has only seen to be narrow."""
+        times = self.times_from_here(point, cautious=True)
         return np.array([self._arrival(times, target, radius_m) for target in targets])
 
     def time_through(self, point: FloatArray, targets: FloatArray, radius_m: float = 2.0) -> float:
@@ -221,7 +213,7 @@ class Navigator:
             return np.zeros(len(graph.points))
         state = (self.map.version, graph.revision, target.tobytes())
         if self._returns is None or self._returns[0] != state:
-            self._returns = state, self._times_back(graph, target)
+            self._returns = state, self._times_back(target, cautious=True)
         return self._returns[1]
 
     def back_times(self, point: FloatArray) -> FloatArray:
@@ -229,25 +221,28 @@ class Navigator:
         on, or back by the way that it came."""
         return np.minimum(self.return_times(), self.times_from_here(point) + self.return_time(point))
 
-    def _times_back(self, graph: GlobalGraph, target: FloatArray) -> FloatArray:
-        homes, offsets_s = self._around_place(target, RETURN_RADIUS_M)
-        if len(homes) == 0:
-            return np.full(len(graph.points), np.inf)
-        sources = tuple(int(node) for node in homes)
-        last_s = np.zeros(len(graph.points))
-        last_s[homes] = offsets_s
-        times = times_over_graph(graph, sources, self.settings, cautious=True)
-        return np.asarray(times + last_s[np.maximum(graph.tree(sources, cautious=True)[2], 0)])
+    def _times_back(self, target: FloatArray, cautious: bool) -> FloatArray:
+        assert self.graph is not None
+        around = self._around_place(target, RETURN_RADIUS_M)
+        return times_back(self.graph, *around, self.settings, cautious)
 
     def return_time(self, start: FloatArray) -> float:
         """Seconds from a reference point (3,) to the place to be back at, over the global graph.
 
-        The point is joined to nodes around it through what is free, else what is unknown; else inf.
+        Where only gaps that the robot has seen lead there, DOUBTFUL times as long; inf without any way.
         """
         if self.budget.back_to is None:
             return 0.0
+        sure_s = self._least(start, self.return_times())
+        if np.isfinite(sure_s):
+            return sure_s
+        return DOUBTFUL * self._least(start, self._times_back(self.budget.back_to, cautious=False))
+
+    def _least(self, start: FloatArray, times: FloatArray) -> float:
+        """Seconds from a place (3,) by way of nodes around it, through what is free, else unknown, to nodes
+        that take `times` (N,)."""
         assert self.graph is not None
-        times, here = self.return_times(), self.graph.here
+        here = self.graph.here
         near, offsets_s, status = self._joining(start, LINK_M)
         sure = status == (FREE if (status == FREE).any() else UNKNOWN)
         reached = (times[near] + offsets_s)[sure]

@@ -76,3 +76,15 @@ def onward(point: FloatArray, path: FloatArray) -> FloatArray:
     along = np.clip(np.einsum("ij,ij->i", point - starts, legs) / squared, 0, 1)
     offsets = np.linalg.norm(starts + along[:, None] * legs - point, axis=1)
     return path[len(offsets) - 1 - int(np.argmin(offsets[::-1])) :]
+
+
+def described(plan: Plan) -> dict[str, object]:
+    """A plan as fields of an event."""
+    goal = [round(float(value), 2) for value in plan.goal] if len(plan.path) else None
+    return {
+        "choice": plan.kind,
+        "goal": goal,
+        "gain_m3": round(plan.gain_m3, 2),
+        "travel_s": round(plan.time_s, 1),
+        "score": round(plan.score, 3),
+    }

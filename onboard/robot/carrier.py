@@ -3,10 +3,13 @@ meet."""
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 
 from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
+from onboard.localization.bracket import bracket_of, carried_sensor_pose
 from onboard.mapping.voxel_map import FREE
 from onboard.mission import FLYING, Facts, Phase
 from onboard.planning.body import Body
@@ -14,9 +17,13 @@ from onboard.planning.deployment import TAKE_OFF_M, AerialOutlook, Decision, Tri
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
 from onboard.planning.regroup import Acceptor, thinned
+from onboard.planning.relocation import Moved
+from onboard.robot.cloud_offer import CloudOffer
 from onboard.robot.handover import HandOver, Outcome
+from onboard.robot.interface import Inputs
+from onboard.robot.localised import Localised
 from onboard.robot.roles import Team, vector
-from onboard.sharing.messages import Ack, Commit, Message, Propose, Times, TravelTime
+from onboard.sharing.messages import Ack, Commit, Located, Message, Missing, Propose, Times, TravelTime
 
 RETRY_S = 120.0
 TIMES_SPACING_M = 3.0
@@ -28,6 +35,8 @@ class Carrier:
     """Role of a ground robot with any number of aerial robots aboard, released one after the other."""
 
     release = False
+    located = True
+    searching = False
 
     def __init__(self, team: Team, seed: int, start: Pose) -> None:
         self._team = team
@@ -38,6 +47,10 @@ class Carrier:
         self._doubt_since_s: float | None = None
         self._deployed: list[RobotSettings] = []
         self._hand_over: HandOver | None = None
+        self._localised = Localised(required=team.config.deployment.colocalise)
+        self._offer: CloudOffer | None = None
+        if team.config.deployment.colocalise:
+            self._offer = CloudOffer(team.link, team.config.radio.rate_bytes_s)
         self._not_before_s = 0.0
         self._times_sent_s = -np.inf
         self._decision: Decision | None = None
@@ -55,6 +68,15 @@ class Carrier:
 
     def regroup_point(self) -> FloatArray | None:
         return self._acceptor.points[0]
+
+    def sensed(self, phase: Phase, inputs: Inputs, pose: Pose) -> None:
+        """Keep what the LiDAR sees around the carrier for whoever is aboard."""
+        if self._offer is not None and self._aboard and inputs.scan is not None:
+            self._offer.saw(inputs.scan, self._team.sensing.sensor_pose(pose))
+
+    def redrawn(self, moved: Moved) -> None:
+        if self._offer is not None:
+            self._offer.follow(moved)
 
     def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
         decision = self._decision
@@ -134,13 +156,28 @@ class Carrier:
         if not self._deployed:
             self._acceptor = Acceptor([team.sensing.sensor_pose(pose).position])
         place = self._acceptor.points[0]
-        self._hand_over = HandOver(team, self._aboard[0], self._outlook, place, now_s)
+        robot = self._aboard[0]
+        self._localised.begin()
+        if self._offer is not None:
+            self._offer.begin(now_s, self._localised.name, robot.id, self._aboard_at(pose, robot))
+        veto = partial(self._localised.veto, robot.id)
+        self._hand_over = HandOver(team, robot, self._outlook, place, now_s, veto)
+
+    def _aboard_at(self, pose: Pose, robot: RobotSettings) -> Pose:
+        """The LiDAR of a robot in the bracket."""
+        team = self._team
+        place = bracket_of(robot.id, team.config.robots)
+        return carried_sensor_pose(pose, team.settings.size_m[2], team.config.bracket, robot, place)
 
     def _deploy(self, now_s: float, pose: Pose) -> Outcome:
         """Go on with the deployment; its end changes who is aboard or when the next try is due."""
         assert self._hand_over is not None
         outcome = self._hand_over.step(now_s, pose)
         self.release = self._hand_over.release
+        if self._offer is not None:
+            self._offer.step(now_s)
+            if outcome != Outcome.UNDER_WAY:
+                self._offer.end()
         if outcome == Outcome.DONE:
             self._deployed += self._aboard[:1]
             self._aboard = self._aboard[1:]
@@ -161,6 +198,12 @@ class Carrier:
                 self._acceptor.committed(message.epoch)
                 if len(self._acceptor.points) < before:
                     self._team.log("regroup", position=message.position_m, epoch=message.epoch)
+            case Located():
+                self._localised.told(now_s, source, message)
+                if self._offer is not None:
+                    self._offer.told(now_s, source)
+            case Missing() if self._offer is not None:
+                self._offer.handle(now_s, source, message)
             case _:
                 pass
 

@@ -9,25 +9,27 @@ import numpy as np
 
 from onboard.core.config import Config, MapSettings, RobotSettings
 from onboard.core.geometry import Pose
-from onboard.core.lidar import Scan
 from onboard.mission import Facts, Phase, next_phase
 from onboard.planning.air_space import Area
 from onboard.planning.cycle import TOO_LATE
 from onboard.planning.deployment import flight_time
 from onboard.planning.explorer import Explorer
 from onboard.planning.follower import HALT, Velocity
+from onboard.planning.homing import stop_short
 from onboard.planning.local_graph import FloatArray
-from onboard.planning.plan import Plan
+from onboard.planning.plan import Plan, described
 from onboard.robot.carrier import Carrier
 from onboard.robot.flyer import Flyer
 from onboard.robot.interface import Inputs, Log, Outputs, Profile
 from onboard.robot.keep_clear import keep_clear
+from onboard.robot.map_frame import Given, MapFrame
+from onboard.robot.mapper import Mapper
 from onboard.robot.motion import Motion
 from onboard.robot.roles import Role, Team, vector
 from onboard.robot.sensing import Sensing
 from onboard.robot.soloist import Soloist
 from onboard.sharing import LinkCore
-from onboard.sharing.messages import Bids, Status
+from onboard.sharing.messages import Bids, Corrections, Message, Status
 
 START_DISC_M = 3.0
 """The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets
@@ -35,7 +37,8 @@ it there."""
 RETURN_CHECK_S = 1.0
 IDLE_CYCLES = 3
 LOOK_AGAIN_S = 10.0
-LINGER_S = 10.0
+LINGER_S = 3.0
+"""Who has been near the meeting point for so long has arrived: others may keep it from the very place."""
 WORTH_RESUMING_M3 = 10.0
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
 
@@ -55,8 +58,10 @@ class RobotCore:
         log: Log,
         clock: Callable[[], float],
         planner: PlannerFactory = Explorer,
+        frame: MapFrame | None = None,
     ) -> None:
-        """`planner` exists so that other planners can be compared on the same robot."""
+        """`planner` exists so that other planners can be compared on the same robot. `frame`: what its poses
+        mean, by default that they are right."""
         self.settings = settings
         self.explorer = planner(settings, config.map, seed, config.mission.area_m)
         self.sensing = Sensing(settings, self.explorer.map)
@@ -65,6 +70,8 @@ class RobotCore:
         self.motion = Motion(settings, self.explorer)
         self.profile = Profile(clock)
         self.team = Team(config, settings.name, self.explorer, self.sensing, self.link, log, self.profile)
+        self.team.frame = frame or Given()
+        self.mapper = Mapper(self.team)
         self.role = self._role(seed, start)
         self.phase = self.role.first_phase
         self.arrived_s: float | None = None
@@ -94,44 +101,49 @@ class RobotCore:
 
     def step(self, inputs: Inputs) -> Outputs:
         """One control cycle (10 Hz)."""
-        now_s, pose = inputs.now_s, inputs.pose
+        now_s, pose = inputs.now_s, self.team.frame.pose(inputs.told)
+        self.role.sensed(self.phase, inputs, pose)
         frames = self.link.step(now_s, inputs.frames)
         for source, message in self.link.take_messages():
-            if isinstance(message, Bids):
-                self.team.bidding.came(now_s, message)
-            else:
-                self.role.handle(now_s, source, message, pose)
-        self._integrate_received()
-        if inputs.scan is not None and self.maps():
-            self._integrate(self.team.without_peers(inputs.scan, pose, now_s), pose)
+            self._heard(now_s, source, message, pose)
+        pose = self._see(inputs)
         if self.explorer.graph is not None:
             self.explorer.observe(pose.position)
         self._budget(inputs)
         self._advance(now_s, pose)
         velocity = self._move(now_s, pose)
         self.role.tick(now_s, self.phase, pose)
-        self.link.set_status(self._status(inputs))
+        self.link.set_status(self._status(inputs, pose))
         return Outputs(velocity, self.role.release, frames)
 
+    def _heard(self, now_s: float, source: int, message: Message, pose: Pose) -> None:
+        if isinstance(message, Bids):
+            self.team.bidding.came(now_s, message)
+        elif isinstance(message, Corrections):
+            self.mapper.came(source, message)
+        else:
+            self.role.handle(now_s, source, message, pose)
+
+    def _see(self, inputs: Inputs) -> Pose:
+        """Draw what was seen and heard of; the pose in the map as it then is."""
+        mapper, frame, told = self.mapper, self.team.frame, inputs.told
+        mapper.receive()
+        if inputs.scan is not None and self.maps():
+            scan = self.team.without_peers(inputs.scan, frame.pose(told), inputs.now_s)
+            mapper.draw(scan, told, self.phase)
+        moved = mapper.step(inputs.now_s)
+        if moved is not None:
+            self.role.redrawn(moved)
+            self.motion.adopt(inputs.now_s - 10.0, None)
+        return frame.pose(told)
+
     def maps(self) -> bool:
-        """A carried robot's LiDAR is mapped once its carrier has begun to hand over."""
-        return self.phase != Phase.CARRIED or len(self.link.store) > 0
+        """A carried robot maps once its carrier has begun to hand over and its own place is known."""
+        return self.phase != Phase.CARRIED or (len(self.link.store) > 0 and self.role.located)
 
-    def _integrate(self, scan: Scan, pose: Pose) -> None:
-        self.profile.timed("map", self.sensing.integrate, scan, pose)
-        if self.phase != Phase.CARRIED and self.sensing.keyframe_due(scan, pose):
-            payload, position = self.profile.timed("encode", self.sensing.make_keyframe, scan, pose)
-            self.link.add_keyframe(scan.stamp_s, payload)
-            self.team.keyframe_positions.append(position)
-            self.team.keyframe_bytes += len(payload)
-
-    def _integrate_received(self) -> None:
-        places: list[FloatArray] = []
-        for _, _, payload in self.link.take_keyframes():
-            place = self.profile.timed("decode", self.sensing.receive, payload)
-            if place is not None:
-                places.append(place)
-        self.team.remember_trail(places)
+    def looks(self) -> bool:
+        """Whether scans are wanted."""
+        return self.maps() or self.role.searching
 
     def _budget(self, inputs: Inputs) -> None:
         remaining = self.team.remaining(inputs.now_s)
@@ -206,7 +218,6 @@ class RobotCore:
         close = self.settings.kind == "ground" and distance <= radius / 2
         if distance > radius:
             self._near_since_s = now_s
-        # where several robots meet, they keep each other from the very place
         lingering = now_s - self._near_since_s > LINGER_S
         return distance <= radius and (settled or close or lingering)
 
@@ -227,7 +238,8 @@ class RobotCore:
         """The command of a flying robot after the gate that keeps it clear of the others."""
         if self.settings.kind != "aerial" or self.phase == Phase.TAKING_OFF:
             return velocity
-        return keep_clear(velocity, pose.position, self.team.others(now_s), self._may_fly_to)
+        others, braking_m_s2 = self.team.others(now_s), self.settings.acceleration_m_s2
+        return keep_clear(velocity, pose.position, others, self._may_fly_to, braking_m_s2)
 
     def _may_fly_to(self, point: FloatArray) -> bool:
         return bool(self.explorer.passable(point[None], point[None] + 1e-3)[0])
@@ -258,7 +270,8 @@ class RobotCore:
         self._report_way_back(pose, plan)
         if self.settings.kind == "ground" or len(plan.path) == 0:
             return plan
-        return self.explorer.stop_short(plan, self.team.config.mission.regroup_radius_m * 0.7)
+        near_m = self.team.config.mission.regroup_radius_m * 0.7
+        return stop_short(plan, target, near_m, self.explorer.visible)
 
     def _report_way_back(self, pose: Pose, plan: Plan) -> None:
         """Tell when the way back begins or ceases to look blocked, or too long for the time that is left."""
@@ -267,26 +280,14 @@ class RobotCore:
             self._way_told = blocked, late
             self._log("way_back", blocked=blocked, late=late, position=vector(pose.position))
 
-    def _status(self, inputs: Inputs) -> Status:
+    def _status(self, inputs: Inputs, pose: Pose) -> Status:
         plan = self.motion.plan
         return Status(
             stamp_s=inputs.now_s,
             phase=int(self.phase),
-            position_m=vector(inputs.pose.position),
+            position_m=vector(pose.position),
             battery_ratio=float(np.clip(inputs.charge, 0.0, 1.0)),
             goal_m=None if plan is None else vector(plan.goal),
             remaining_s=max(0.0, self.team.remaining(inputs.now_s)),
             keyframes=len(self.team.keyframe_positions),
         )
-
-
-def described(plan: Plan) -> dict[str, object]:
-    """A plan as fields of an event."""
-    goal = [round(float(value), 2) for value in plan.goal] if len(plan.path) else None
-    return {
-        "choice": plan.kind,
-        "goal": goal,
-        "gain_m3": round(plan.gain_m3, 2),
-        "travel_s": round(plan.time_s, 1),
-        "score": round(plan.score, 3),
-    }

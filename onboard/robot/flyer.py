@@ -11,8 +11,11 @@ from onboard.planning.deployment import TAKE_OFF_M
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
 from onboard.planning.regroup import Proposer, choose_point
+from onboard.planning.relocation import Moved
+from onboard.robot.finding import Finding
+from onboard.robot.interface import Inputs
 from onboard.robot.roles import Team, vector
-from onboard.sharing.messages import Ack, Commit, Message, Propose, Release, Target, Times
+from onboard.sharing.messages import Ack, Chunk, Commit, Message, Offer, Propose, Release, Target, Times
 
 CLIMB_TOLERANCE_M = 0.15
 TARGET_REACHED_M = 1.5
@@ -32,12 +35,34 @@ class Flyer:
         self._proposer: Proposer | None = None
         self._carrier: int | None = None
         self._released = False
+        self._finding = Finding(team)
         self._climb_to: FloatArray | None = None
         self._exploring_since_s = 0.0
         self._proposed_s = -np.inf
 
+    @property
+    def located(self) -> bool:
+        return self._finding.located
+
+    @property
+    def searching(self) -> bool:
+        return self._finding.searching and not self._released
+
+    @property
+    def map_from_odometry(self) -> Pose | None:
+        """What leads from the frame of the robot's odometry to the map, once it has found itself there."""
+        return self._finding.map_from_odometry
+
+    def sensed(self, phase: Phase, inputs: Inputs, pose: Pose) -> None:
+        """Find the own place in the carrier's map while aboard."""
+        if phase == Phase.CARRIED and not self._released:
+            self._finding.sensed(inputs)
+
     def regroup_point(self) -> FloatArray | None:
         return None if self._proposer is None else self._proposer.point
+
+    def redrawn(self, moved: Moved) -> None:
+        """What it keeps of places is the planner's."""
 
     def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
         climbed = self._climb_to is not None and bool(
@@ -66,7 +91,9 @@ class Flyer:
             case Target():
                 self._carrier = source
                 self._targets = [np.array(p) for p in (message.position_m, *message.alternatives_m)]
-            case Release() if not self._released:
+            case Offer() | Chunk() if not self._released:
+                self._finding.handle(now_s, source, message)
+            case Release() if not self._released and self.located:
                 self._released = True
                 self._carrier = source
                 self._proposer = Proposer(np.array(message.position_m))

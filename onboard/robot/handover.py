@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from enum import Enum, auto
 
 import numpy as np
@@ -11,6 +12,7 @@ from onboard.core.geometry import Pose
 from onboard.mission import FLYING, Phase
 from onboard.planning.deployment import MAX_TILT_RAD, AerialOutlook, tilt
 from onboard.planning.local_graph import FloatArray
+from onboard.robot.localised import Veto
 from onboard.robot.roles import Team, vector
 from onboard.sharing.messages import Release, Target
 
@@ -30,14 +32,24 @@ class Outcome(Enum):
 
 
 class HandOver:
-    """The carrier's side of one deployment. `release` is true in the step in which the bracket shall open."""
+    """The carrier's side of one deployment. `release` is true in the step in which the bracket shall open.
+
+    `veto` says why it must not open, if anything speaks against it.
+    """
 
     def __init__(
-        self, team: Team, robot: RobotSettings, outlook: AerialOutlook, regroup: FloatArray, now_s: float
+        self,
+        team: Team,
+        robot: RobotSettings,
+        outlook: AerialOutlook,
+        regroup: FloatArray,
+        now_s: float,
+        veto: Callable[[float], Veto | None],
     ) -> None:
         self.robot = robot
         self.release = False
         self._team = team
+        self._veto = veto
         self._regroup = regroup
         self._since_s = now_s
         self._released_s: float | None = None
@@ -78,6 +90,10 @@ class HandOver:
             return self._abort(why) if now_s - self._since_s > NO_CONTACT_S else Outcome.UNDER_WAY
         if self._repeat(now_s):
             link.post(self._target, self.robot.id)
+        veto = self._veto(now_s)
+        if veto is not None:
+            late = now_s - self._since_s > NO_CONTACT_S
+            return self._abort(veto.words) if veto.final or late else Outcome.UNDER_WAY
         if link.unshared(self.robot.id) == 0 and now_s - self._since_s > REPEAT_S:
             self._released_s, self.release = now_s, True
             self._team.log("release", deployed=self.robot.name)

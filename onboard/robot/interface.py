@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
-from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.planning.follower import HALT, Velocity
+from onboard.robot.map_frame import Told
 
 Log = Callable[..., None]
 """Called as log(kind, **fields) for everything that belongs into the mission's event log."""
@@ -16,10 +16,10 @@ Log = Callable[..., None]
 
 @dataclass(frozen=True, eq=False)
 class Inputs:
-    """Sensor readings of one step. `pose`: reference point of the body (ground: on the floor), map frame."""
+    """Sensor readings of one step. `told`: the body's reference point (ground: on the floor), see `Told`."""
 
     now_s: float
-    pose: Pose
+    told: Told
     charge: float
     scan: Scan | None = None
     frames: tuple[bytes, ...] = ()

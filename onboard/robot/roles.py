@@ -7,19 +7,22 @@ from typing import Protocol
 
 import numpy as np
 
-from onboard.core.config import Config
+from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
+from onboard.localization.bracket import bracket_of, carried_pose
 from onboard.mission import AT_REGROUP, FLYING, Facts, Phase
 from onboard.planning.explorer import Explorer
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
+from onboard.planning.relocation import Moved
 from onboard.planning.worth import PeerGoal
 from onboard.robot.bidding import Bidding
-from onboard.robot.interface import Log, Profile
+from onboard.robot.interface import Inputs, Log, Profile
+from onboard.robot.map_frame import Given, MapFrame
 from onboard.robot.sensing import Sensing
 from onboard.sharing import LinkCore
-from onboard.sharing.messages import Message, Vector
+from onboard.sharing.messages import Message, Status, Vector
 
 PEER_MARGIN_M = 0.3
 KEEP_CLEAR_M = 0.4
@@ -50,6 +53,8 @@ class Team:
         """LiDAR positions (3,) of the own keyframes by sequence."""
         self.keyframe_bytes = 0
         self.bidding = Bidding(self.settings, link)
+        self.frame: MapFrame = Given()
+        """What the poses mean that localisation tells."""
         self._trail: list[FloatArray] = []
 
     @property
@@ -135,13 +140,22 @@ class Team:
             status = self.link.peer_status(peer.id)
             if status is None or now_s - status.stamp_s > self.config.mission.contact_timeout_s:
                 continue
-            centre = np.array(status.position_m)
-            if peer.kind == "ground":
-                centre[2] += peer.size_m[2] / 2
+            centre = self._centre(peer, status, pose)
             radius = max(peer.size_m) / 2 + PEER_MARGIN_M + (now_s - status.stamp_s) * peer.speed_m_s
             near = sensor.rotation.T @ (centre - sensor.position)
             ranges = np.where(inside_sphere(scan, near, radius), np.float32(0.0), ranges)
         return Scan(scan.stamp_s, ranges, scan.model)
+
+    def _centre(self, peer: RobotSettings, status: Status, pose: Pose) -> FloatArray:
+        """Centre (3,) of a peer's body; one aboard may not know, its carrier at `pose` does."""
+        config = self.config
+        aboard = self.settings.kind == "ground" and Phase(status.phase) == Phase.CARRIED
+        if aboard and config.deployment.colocalise:
+            place = bracket_of(peer.id, config.robots)
+            centre = carried_pose(pose, self.settings.size_m[2], config.bracket, place)
+            return centre.position
+        lift_m = peer.size_m[2] / 2 if peer.kind == "ground" else 0.0
+        return np.asarray(np.array(status.position_m) + np.array([0.0, 0.0, lift_m]))
 
 
 class Role(Protocol):
@@ -149,6 +163,25 @@ class Role(Protocol):
 
     first_phase: Phase
     release: bool
+
+    @property
+    def located(self) -> bool:
+        """Whether the robot's pose in the map can be trusted."""
+        ...
+
+    @property
+    def searching(self) -> bool:
+        """Whether the role wants scans although the robot is not located."""
+        ...
+
+    def sensed(self, phase: Phase, inputs: Inputs, pose: Pose) -> None:
+        """Sensor readings have come, the body being at `pose` in the map, if that is known; called once a
+        step, before everything else."""
+        ...
+
+    def redrawn(self, moved: Moved) -> None:
+        """The map has been drawn anew: `moved` tells where places of the old one are."""
+        ...
 
     def regroup_point(self) -> FloatArray | None:
         """LiDAR position (3,) of the agreed regrouping point, None where there is none yet."""

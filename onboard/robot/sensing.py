@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onboard.codec import decode, encode
+from onboard.codec import Keyframe, decode, encode
 from onboard.core.config import RobotSettings
 from onboard.core.errors import WireError
 from onboard.core.geometry import Pose, rotation_angle
@@ -62,15 +62,15 @@ class Sensing:
         )
         return data, self._last_keyframe.position
 
-    def receive(self, payload: bytes) -> FloatArray | None:
-        """Decode a peer's keyframe into the map; its LiDAR position (3,), None if the bytes are bad."""
+    def decoded(self, payload: bytes) -> Keyframe | None:
+        """A peer's keyframe, None if its bytes are bad."""
         try:
-            keyframe = decode(payload)
+            return decode(payload)
         except WireError:
             self.frames_bad += 1
             return None
+
+    def receive(self, keyframe: Keyframe, pose: Pose) -> None:
+        """Draw a peer's keyframe whose sensor was at `pose`."""
         points = keyframe.scan_rays(self._map.max_range_m * CLEARING_M)
-        self._map.integrate(
-            points, keyframe.pose.matrix(), min_range_m=keyframe.model.min_range_m, source=PEER
-        )
-        return keyframe.pose.position
+        self._map.integrate(points, pose.matrix(), min_range_m=keyframe.model.min_range_m, source=PEER)

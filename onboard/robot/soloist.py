@@ -8,6 +8,8 @@ from onboard.core.geometry import Pose
 from onboard.mission import Facts, Phase
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
+from onboard.planning.relocation import Moved
+from onboard.robot.interface import Inputs
 from onboard.robot.roles import Team
 from onboard.sharing.messages import Message
 
@@ -19,6 +21,8 @@ class Soloist:
     """Role of an aerial robot in a team without a ground robot."""
 
     release = False
+    located = True
+    searching = False
     first_phase = Phase.TAKING_OFF
 
     def __init__(self, team: Team, start: Pose) -> None:
@@ -30,6 +34,9 @@ class Soloist:
 
     def regroup_point(self) -> FloatArray:
         return self._above
+
+    def redrawn(self, moved: Moved) -> None:
+        """What it keeps of places is the planner's."""
 
     def facts(self, now_s: float, phase: Phase, pose: Pose) -> Facts:
         climbed = bool(pose.position[2] > self._above[2] - CLIMB_TOLERANCE_M)
@@ -51,6 +58,9 @@ class Soloist:
 
     def handle(self, now_s: float, source: int, message: Message, pose: Pose) -> None:
         """There is nobody to agree with on where to meet."""
+
+    def sensed(self, phase: Phase, inputs: Inputs, pose: Pose) -> None:
+        """Its map begins where it does: there is no other one to find itself in."""
 
     def tick(self, now_s: float, phase: Phase, pose: Pose) -> None:
         """Nothing to tell anybody."""

@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 
 from onboard.core.crc import crc32c
 from onboard.core.errors import InputError, WireError
+from onboard.sharing.correction_frames import pack_corrections, unpack_corrections
 from onboard.sharing.messages import (
     MAX_ALTERNATIVES,
     MAX_BIDS,
@@ -20,10 +21,15 @@ from onboard.sharing.messages import (
     BidMessage,
     Bids,
     BundleMessage,
+    Chunk,
     Commit,
+    Corrections,
     Digest,
     KeyframeMessage,
+    Located,
     Message,
+    Missing,
+    Offer,
     Propose,
     Release,
     SourceRanges,
@@ -33,6 +39,16 @@ from onboard.sharing.messages import (
     TravelTime,
 )
 from onboard.sharing.packing import Reader, checked_count, pack_duration, pack_position, pack_stamp
+from onboard.sharing.transfer_frames import (
+    pack_chunk,
+    pack_located,
+    pack_missing,
+    pack_offer,
+    unpack_chunk,
+    unpack_located,
+    unpack_missing,
+    unpack_offer,
+)
 
 VERSION = 1
 _HEAD = struct.Struct("<BBBB")
@@ -254,6 +270,11 @@ _KIND_OF: dict[type[Message], _Kind] = {
     Commit: _Kind(8, "commit", _pack_commit, _unpack_commit),
     Release: _Kind(9, "release", _pack_release, _unpack_release),
     Bids: _Kind(10, "bids", _pack_bids, _unpack_bids),
+    Offer: _Kind(11, "offer", pack_offer, unpack_offer),
+    Chunk: _Kind(12, "chunk", pack_chunk, unpack_chunk),
+    Missing: _Kind(13, "missing", pack_missing, unpack_missing),
+    Located: _Kind(14, "located", pack_located, unpack_located),
+    Corrections: _Kind(15, "corrections", pack_corrections, unpack_corrections),
 }
 _KIND_BY_NUMBER = {kind.number: kind for kind in _KIND_OF.values()}
 KINDS = tuple(kind.name for kind in _KIND_OF.values())

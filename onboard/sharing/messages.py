@@ -14,6 +14,11 @@ MAX_SOURCES = 255
 MAX_RANGES = 32
 MAX_BUNDLES = 16
 MAX_BIDS = 4
+CHUNK_BYTES = 1200
+"""Payload of a chunk: with its frame it fits one Ethernet packet."""
+MAX_CHUNKS = 1024
+MAX_MISSING = 64
+MAX_KNOTS = 1000
 
 
 class KeyframeMessage(msgspec.Struct, frozen=True):
@@ -120,4 +125,89 @@ class Bids(msgspec.Struct, frozen=True):
     bundles: tuple[BundleMessage, ...]
 
 
-Message = KeyframeMessage | Digest | Status | Target | Times | Propose | Ack | Commit | Release | Bids
+class Offer(msgspec.Struct, frozen=True):
+    """The sender has data `name` of `length` bytes with this CRC32C and will send it in chunks."""
+
+    name: int
+    length: int
+    checksum: int
+
+    @property
+    def chunks(self) -> int:
+        """Number of chunks, all of CHUNK_BYTES but the last."""
+        return -(-self.length // CHUNK_BYTES)
+
+
+class Chunk(msgspec.Struct, frozen=True):
+    """Bytes from `index` * CHUNK_BYTES on of the offered data that has this name and checksum."""
+
+    name: int
+    checksum: int
+    index: int
+    payload: bytes
+
+
+class ChunkRange(msgspec.Struct, frozen=True):
+    """Chunks `first` to `first + count - 1`."""
+
+    first: int
+    count: int
+
+
+class Missing(msgspec.Struct, frozen=True):
+    """The sender lacks these chunks of an offer, or none of them: acknowledgement and request in one."""
+
+    name: int
+    checksum: int
+    spans: tuple[ChunkRange, ...]
+
+    @property
+    def complete(self) -> bool:
+        """Whether everything has arrived and its checksum matches."""
+        return not self.spans
+
+
+class Located(msgspec.Struct, frozen=True):
+    """What came of the sender's co-localisation in the map of `name`'s cloud: 0 accepted, else why not."""
+
+    name: int
+    code: int
+
+
+class CorrectionKnot(msgspec.Struct, frozen=True):
+    """Keyframe `sequence` is moved by `shift_m` (5 mm on the air, at most 163 m) and turned by the rotation
+    vector `turn_rad` (0.1 mrad on the air, at most 3.27 rad), both in map axes."""
+
+    sequence: int
+    shift_m: Vector
+    turn_rad: Vector
+
+
+class Corrections(msgspec.Struct, frozen=True):
+    """Revision of all poses of `source`'s keyframes against those that they carry, linear between the knots.
+
+    Without knots: the sender holds this revision of `source`'s corrections.
+    """
+
+    source: int
+    revision: int
+    knots: tuple[CorrectionKnot, ...]
+
+
+Message = (
+    KeyframeMessage
+    | Digest
+    | Status
+    | Target
+    | Times
+    | Propose
+    | Ack
+    | Commit
+    | Release
+    | Bids
+    | Offer
+    | Chunk
+    | Missing
+    | Located
+    | Corrections
+)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from onboard.sharing.keyframe_store import Key, KeyframeStore
-from onboard.sharing.messages import Digest, Message, Status
+from onboard.sharing.messages import Chunk, Digest, Message, Status
 
 DIGEST_MIN_PERIOD_S = 0.5
 DIGEST_PERIOD_S = 5.0
@@ -29,7 +29,7 @@ class Peer:
         self.pending: dict[Key, None] = {}
         """Keys that the peer is not known to hold, oldest first."""
         self._in_flight: dict[Key, float] = {}
-        self._outbox: dict[type[Message], Message] = {}
+        self._outbox: dict[tuple[type[Message], int], Message] = {}
         self._digest: Digest | None = None
         self._digest_is_fresh = False
         self._heard_s: float | None = None
@@ -51,9 +51,13 @@ class Peer:
         self._heard_s = now_s
 
     def post(self, message: Message) -> None:
-        """Queue a small message; a newer one of the same kind replaces an unsent one, which is stale then."""
-        self._outbox.pop(type(message), None)
-        self._outbox[type(message)] = message
+        """Queue a small message; a newer one of the same kind replaces an unsent one, which is stale then.
+
+        Chunks of data are told apart by their index.
+        """
+        slot = type(message), message.index if isinstance(message, Chunk) else 0
+        self._outbox.pop(slot, None)
+        self._outbox[slot] = message
 
     def take_outbox(self) -> list[Message]:
         messages = list(self._outbox.values())

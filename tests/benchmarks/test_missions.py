@@ -22,7 +22,7 @@ from onboard.core.errors import InputError
 
 def robot(**changes: Any) -> dict[str, Any]:
     values = {"collisions": 0, "keyframes": 12, "bytes_sent": 2500, "home_t_s": 580.4, "plan_ms_p50": 3.0}
-    return values | changes
+    return values | {"worst_pose_error_m": 0.034} | changes
 
 
 def metrics(team: str = "both", **changes: Any) -> dict[str, Any]:

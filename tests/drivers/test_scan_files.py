@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from drivers.cloud_formats import lzf_decompress, read_points
 from drivers.recordings import open_recording
-from drivers.scan_files import scan_files
+from drivers.scan_files import name_stamp_s, scan_files
 from drivers.types import LidarScan, whole_scans
 from onboard.core.errors import InputError
 
@@ -161,6 +161,51 @@ def test_what_cannot_be_opened_is_one_clear_line(tmp_path: Path, velodyne_pcap: 
         with pytest.raises(InputError, match=message) as caught:
             open_recording(path, sensor)
         assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "stamp_s"),
+    [
+        ("1650963664.25.pcd", 1650963664.25),
+        ("cloud_1650963664_250000000.ply", 1650963664.25),
+        ("1650963664250000000.bin", 1650963664.25),
+        ("1650963664250000.bin", 1650963664.25),
+        ("1650963664250.npy", 1650963664.25),
+        ("1650963664.npy", 1650963664.0),
+        ("0000000012.bin", None),
+        ("scan_7.npy", None),
+        ("16509636642.npy", None),
+        ("cloud.ply", None),
+    ],
+)
+def test_names_tell_times(name: str, stamp_s: float | None) -> None:
+    assert name_stamp_s(Path(name)) == (None if stamp_s is None else pytest.approx(stamp_s, abs=1e-5))
+
+
+@pytest.mark.parametrize(
+    ("names", "rate_hz", "stamps_s"),
+    [
+        (["1650963665.0", "1650963664.5", "1650963664.0"], None, [1650963664.0, 1650963664.5, 1650963665.0]),
+        (["1650963665.0", "1650963664.5", "1650963664.0"], 4.0, [0.0, 0.25, 0.5]),
+        (["scan_9", "scan_10"], None, [0.0, 0.1]),
+        (["1650963664.1", "1650963664.10"], None, [0.0, 0.1]),
+    ],
+    ids=["by name", "fixed rate", "no time told", "twice the same time"],
+)
+def test_scans_of_a_folder_are_timed(
+    tmp_path: Path, names: list[str], rate_hz: float | None, stamps_s: list[float]
+) -> None:
+    for name in names:
+        with (tmp_path / f"{name}.npy").open("wb") as file:
+            np.save(file, CLOUD)
+    scans = list(open_recording(tmp_path, rate_hz=rate_hz).scans)
+    assert [scan.stamp_s for scan in scans] == pytest.approx(stamps_s, abs=1e-6)
+
+
+def test_a_rate_is_for_point_cloud_files_only(tmp_path: Path) -> None:
+    (tmp_path / "walk.pcap").write_bytes(b"not empty")
+    with pytest.raises(InputError, match="--rate"):
+        open_recording(tmp_path / "walk.pcap", "vlp-16", rate_hz=10.0)
 
 
 @pytest.mark.parametrize(

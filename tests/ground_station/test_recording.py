@@ -183,6 +183,35 @@ def test_a_recording_that_breaks_in_the_middle_is_mapped_until_there(drive: Path
     assert json.loads((out / "metrics.json").read_text())["complete"] is False
 
 
+def test_a_reference_tells_how_far_the_trajectory_is_off(drive: Path, tmp_path: Path) -> None:
+    """The true poses, in a frame of their own, at half the speed of the default: two scans every 0.4 s."""
+    turned = Pose.from_rpy(np.array([7.0, -3.0, 2.0]), 0.1, -0.2, 1.3)
+    lines = ["# stamp x y z qx qy qz qw"]
+    for step in range(STEPS):
+        true = Pose.from_rpy(np.array([STEP_M * step, 0.0, 0.0]), yaw_rad=0.01 * step)
+        pose = turned.compose(true)
+        numbers = " ".join(f"{v:.9f}" for v in (*pose.position, *pose.quaternion))
+        lines.append(f"{0.2 * step + 0.004:.3f} {numbers}")
+    (tmp_path / "truth.txt").write_text("\n".join(lines) + "\n")
+    settings = RecordingSettings(rate_hz=5.0)
+    metrics = map_recording(drive, None, tmp_path / "out", None, settings, tmp_path / "truth.txt")
+    errors = metrics["reference"]
+    assert errors["poses"] == STEPS
+    assert errors["path_m"] == pytest.approx((STEPS - 1) * STEP_M, abs=1e-6)
+    assert 0.0 < errors["ate_m"] < 0.03
+    assert errors["drift_percent"] < 1.0
+    assert json.loads((tmp_path / "out" / "metrics.json").read_text())["reference"] == errors
+
+
+def test_a_reference_of_another_time_is_an_error_after_the_map_is_written(
+    drive: Path, tmp_path: Path
+) -> None:
+    (tmp_path / "truth.txt").write_text("100 0 0 0 0 0 0 1\n101 1 0 0 0 0 0 1\n")
+    with pytest.raises(InputError, match=r"no stamps in common"):
+        map_recording(drive, None, tmp_path / "out", reference=tmp_path / "truth.txt")
+    assert len(trajectory(tmp_path / "out")) == STEPS
+
+
 def test_a_scan_that_fits_nowhere_is_counted_and_left_out(drive: Path, tmp_path: Path) -> None:
     folder = tmp_path / "odd"
     folder.mkdir()

@@ -34,7 +34,7 @@ def robot(name: str = "ground", number: int = 1, kind: str = "ground") -> dict[s
 
 
 def team() -> dict[str, Any]:
-    sections: dict[str, Any] = {"mission": {}, "map": {}, "deployment": {}, "radio": {}}
+    sections: dict[str, Any] = {"mission": {}, "map": {}, "deployment": {}, "bracket": {}, "radio": {}}
     return {**sections, "robots": [robot()]}
 
 

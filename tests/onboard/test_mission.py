@@ -99,6 +99,11 @@ def test_done_needs_everybody_there_and_everything_exchanged(missing):
     assert followers(Phase.WAITING, **agreed) == {Phase.DONE}
 
 
+def test_who_is_at_the_meeting_point_stays_there_until_everybody_is_and_goes_back_when_it_was_moved():
+    assert followers(Phase.WAITING, arrived=True, more=False, shared=False) == {Phase.WAITING}
+    assert followers(Phase.WAITING, arrived=False, more=False) == {Phase.RETURNING}
+
+
 @pytest.mark.parametrize("start", [Phase.CARRIED, Phase.CARRYING, Phase.EXPLORING])
 def test_every_role_can_get_done_and_only_by_waiting(start):
     reached, fringe = {start}, {start}

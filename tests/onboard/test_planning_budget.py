@@ -12,7 +12,7 @@ from onboard.planning.budget import DOCKING_S, SLOWEST, Budget, Pace
 from onboard.planning.edges import SLOW, UNTRIED
 from onboard.planning.explorer import Explorer
 from onboard.planning.global_graph import GlobalGraph
-from onboard.planning.homing import FREE_TURN_RAD, times_over_graph
+from onboard.planning.homing import DOUBTFUL, FREE_TURN_RAD, stop_short, times_over_graph
 from onboard.planning.plan import Plan
 from tests.onboard.air_scenes import Corner, hollow, unsurfaced, wall
 from tests.onboard.test_planning_deployment import FLYER
@@ -198,6 +198,19 @@ def test_a_way_that_only_the_map_knew_is_no_way_when_it_is_blocked():
     assert np.isinf(robot.time_through(np.array([5.0, 1.0, 1.5]), np.stack([target, HOME])))
 
 
+def test_a_meeting_point_behind_a_gap_is_not_chosen_but_when_it_is_one_the_robot_has_not_come_too_late():
+    slit = ((10.8, 1.8, 1.2), (11.6, 8.2, 1.8))  # which just lets the body through
+    north = ((0.0, 8.0, 0.0), (20.0, 10.0, 3.0))
+    robot = flown((11.2, 1.0), rooms=(RING[0], slit, north), remaining_s=800.0)
+    here, behind = robot.graph.points[robot.graph.here].copy(), np.array([11.2, 9.0, 1.5])
+    robot.graph.add_path(np.array([here, (11.2, 1.8, 1.5), (11.2, 8.2, 1.5), behind]), lambda a, b: True)
+    robot.verify_ways()
+    assert np.isinf(robot.times_to(here, behind[None])[0])
+    robot.budget.back_to = behind
+    assert robot.return_time(here) == pytest.approx(DOUBTFUL * 8.0, abs=2.5)
+    assert robot.affordable(Plan(here[None], "here"))
+
+
 HAIRPIN = (
     ((0.0, 0.0, 0.0), (20.0, 2.0, 3.0)),
     ((18.0, 0.0, 0.0), (20.0, 4.4, 3.0)),
@@ -248,11 +261,18 @@ def test_a_flying_robot_that_plans_its_last_metres_again_and_again_does_not_clim
     robot = flown((8.0, 1.0), rooms=(((0.0, 0.0, 0.0), (20.0, 2.0, 6.0)),))
     here, heights = np.array([4.0, 1.0, 1.0]), []
     for _ in range(5):
-        plan = robot.stop_short(robot.go_to(here, HOME), 2.0)
+        plan = stop_short(robot.go_to(here, HOME), HOME, 2.0, robot.visible)
         here = plan.goal
         heights.append(here[2])
     assert heights[-1] == pytest.approx(HOME[2] + 1.0, abs=0.3)
     assert max(heights) < HOME[2] + 1.3
+
+
+def test_a_way_that_ends_beside_its_target_is_gone_to_its_end():
+    robot = flown((8.0, 1.0))
+    beside = Plan(np.array([[8.0, 1.0, 1.5], [2.8, 1.0, 1.5]]), "route")
+    for distance_m, end_x in ((0.5, 2.8), (1.8, 2.8), (2.6, 3.6)):
+        assert stop_short(beside, HOME, distance_m, robot.visible).path[1, 0] == pytest.approx(end_x)
 
 
 def test_visiting_two_places_takes_the_ways_between_them():

@@ -12,6 +12,7 @@ from onboard.mission import Phase
 from onboard.planning.plan import Plan
 from onboard.robot.core import RobotCore
 from onboard.robot.interface import Inputs, Log
+from onboard.robot.map_frame import Told
 from simulation.mission import TICK_S, Mission
 from tests.simulation.small_mission import EAGER, Event, played, room, team
 
@@ -209,7 +210,7 @@ def test_a_robot_that_will_be_late_says_so_once_and_takes_it_back():
 def test_a_carried_robot_keeps_still_and_maps_nothing():
     core, start = fresh("aerial")
     for tick in range(30):
-        outputs = core.step(Inputs(tick * TICK_S, start, 1.0))
+        outputs = core.step(Inputs(tick * TICK_S, Told(start), 1.0))
         assert not outputs.velocity.linear.any()
         assert not outputs.release
     assert core.phase == Phase.CARRIED
@@ -221,7 +222,7 @@ def test_garbage_on_the_air_is_counted_and_dropped():
     core, start = fresh("ground")
     rng = np.random.default_rng(3)
     garbage = tuple(rng.bytes(int(size)) for size in rng.integers(0, 300, 50))
-    core.step(Inputs(0.0, start, 1.0, None, (b"", *garbage)))
+    core.step(Inputs(0.0, Told(start), 1.0, None, (b"", *garbage)))
     assert core.link.frames_bad == 51
     assert core.phase == Phase.CARRYING
 
@@ -229,8 +230,10 @@ def test_garbage_on_the_air_is_counted_and_dropped():
 def test_beacons_tell_where_a_robot_is_and_what_it_does():
     ground, start = fresh("ground")
     aerial, _ = fresh("aerial")
-    frames = [frame for tick in range(20) for frame in ground.step(Inputs(tick * TICK_S, start, 0.5)).frames]
-    aerial.step(Inputs(2.0, start, 1.0, None, tuple(frame for _, frame in frames)))
+    frames = [
+        frame for tick in range(20) for frame in ground.step(Inputs(tick * TICK_S, Told(start), 0.5)).frames
+    ]
+    aerial.step(Inputs(2.0, Told(start), 1.0, None, tuple(frame for _, frame in frames)))
     status = aerial.link.peer_status(ground.settings.id)
     assert status is not None
     assert Phase(status.phase) == Phase.CARRYING

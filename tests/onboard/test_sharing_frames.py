@@ -15,15 +15,25 @@ from onboard.core.crc import crc32c
 from onboard.core.errors import InputError, WireError
 from onboard.sharing.frames import KINDS, kind_name, pack, unpack
 from onboard.sharing.messages import (
+    CHUNK_BYTES,
+    MAX_CHUNKS,
+    MAX_MISSING,
     MAX_PAYLOAD_BYTES,
     Ack,
     BidMessage,
     Bids,
     BundleMessage,
+    Chunk,
+    ChunkRange,
     Commit,
+    CorrectionKnot,
+    Corrections,
     Digest,
     KeyframeMessage,
+    Located,
     Message,
+    Missing,
+    Offer,
     Propose,
     Release,
     SourceRanges,
@@ -53,6 +63,16 @@ def source_ranges(draw: st.DrawFn, source: int) -> SourceRanges:
     return SourceRanges(source, tuple(ranges))
 
 
+@st.composite
+def missing(draw: st.DrawFn) -> Missing:
+    spans, free = [], draw(st.integers(0, 3))
+    for _ in range(draw(st.integers(0, 6))):
+        count = draw(st.integers(1, 80))
+        spans.append(ChunkRange(free, count))
+        free += count + draw(st.integers(1, 80))
+    return Missing(draw(u16), draw(u32), tuple(spans))
+
+
 digests = st.lists(u8, unique=True, max_size=5).flatmap(
     lambda ids: st.builds(Digest, stamps, st.tuples(*[source_ranges(i) for i in ids]))
 )
@@ -69,6 +89,11 @@ statuses = st.builds(
 travel_times = st.builds(TravelTime, u32, positions, u16.map(lambda t: t * 0.1))
 bids = st.builds(BidMessage, positions, u32.map(lambda steps: steps * 0.001))
 bundles = st.builds(BundleMessage, u8, u16.map(lambda t: t * 0.1), st.lists(bids, max_size=4).map(tuple))
+turns = st.tuples(*[st.integers(-(1 << 15), (1 << 15) - 1).map(lambda t: t * 1e-4)] * 3)
+shifts = st.tuples(*[st.integers(-(1 << 15), (1 << 15) - 1).map(lambda s: s * 0.005)] * 3)
+knots = st.lists(
+    st.builds(CorrectionKnot, u32, shifts, turns), max_size=8, unique_by=lambda knot: knot.sequence
+).map(lambda found: tuple(sorted(found, key=lambda knot: knot.sequence)))
 messages = st.one_of(
     st.builds(KeyframeMessage, u8, u32, stamps, st.binary(max_size=300)),
     digests,
@@ -80,6 +105,11 @@ messages = st.one_of(
     st.builds(Commit, u16, positions),
     st.builds(Release, positions),
     st.builds(Bids, st.lists(bundles, max_size=6, unique_by=lambda bundle: bundle.robot).map(tuple)),
+    st.builds(Offer, u16, st.integers(0, MAX_CHUNKS * CHUNK_BYTES), u32),
+    st.builds(Chunk, u16, u32, st.integers(0, MAX_CHUNKS - 1), st.binary(max_size=300)),
+    missing(),
+    st.builds(Located, u16, u8),
+    st.builds(Corrections, u8, u32, knots),
 )
 
 
@@ -104,7 +134,7 @@ def test_cut_or_flipped_frames_are_refused(message: Message, data: st.DataObject
 
 
 @settings(max_examples=300)
-@given(st.integers(0, 12), st.binary(max_size=80))
+@given(st.integers(0, 16), st.binary(max_size=80))
 def test_hostile_bodies_with_a_good_checksum_decode_or_are_refused(kind: int, body: bytes) -> None:
     head = bytes([1, kind, 3, 4]) + body
     frame = head + struct.pack("<I", crc32c(head))
@@ -134,6 +164,14 @@ def test_hostile_bodies_with_a_good_checksum_decode_or_are_refused(kind: int, bo
         Bids((BundleMessage(1, 7000.0, ()),)),
         Bids((BundleMessage(1, 0.0, (BidMessage((0.0, 0.0, 0.0), -1.0),)),)),
         Bids((BundleMessage(1, 0.0, (BidMessage((0.0, 0.0, 0.0), 1.0),) * 5),)),
+        Offer(0, MAX_CHUNKS * CHUNK_BYTES + 1, 0),
+        Chunk(0, 0, MAX_CHUNKS, b""),
+        Chunk(0, 0, 0, bytes(CHUNK_BYTES + 1)),
+        Missing(0, 0, tuple(ChunkRange(2 * k, 1) for k in range(MAX_MISSING + 1))),
+        Located(0, 256),
+        Corrections(1, 1, (CorrectionKnot(0, (164.0, 0.0, 0.0), (0.0, 0.0, 0.0)),)),
+        Corrections(1, 1, (CorrectionKnot(0, (0.0, 0.0, 0.0), (0.0, 0.0, float("nan"))),)),
+        Corrections(1, 1, (CorrectionKnot(0, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)),) * 1001),
     ],
     ids=repr,
 )
@@ -143,10 +181,18 @@ def test_what_the_format_cannot_carry_is_refused_before_sending(message: Message
 
 
 def test_counts_are_bounded_before_anything_is_read() -> None:
-    for kind, body in ((5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff"), (10, b"\xff")):
+    longest, knots = bytes(6) + b"\xff\xff", bytes(5) + b"\xff\xff"
+    bodies = [(5, b"\xff\xff"), (4, b"\xff"), (2, bytes(8) + b"\x01\x00\xff"), (10, b"\xff"), (15, knots)]
+    for kind, body in [*bodies, (11, bytes(2) + b"\xff" * 8), (12, longest), (13, longest)]:
         head = bytes([1, kind, 0, 1]) + body
         with pytest.raises(WireError, match="items, at most"):
             unpack(head + struct.pack("<I", crc32c(head)))
+
+
+@pytest.mark.parametrize("spans", [((0, 0),), ((5, 2), (6, 1)), ((5, 2), (7, 1)), ((MAX_CHUNKS - 1, 2),)])
+def test_missing_chunks_must_ascend_with_gaps(spans: tuple[tuple[int, int], ...]) -> None:
+    with pytest.raises(WireError, match="ranges"):
+        unpack(pack(Missing(0, 0, tuple(ChunkRange(*span) for span in spans)), 0, 1))
 
 
 @pytest.mark.parametrize("ranges", [((0, 0),), ((5, 2), (6, 1)), ((5, 2), (7, 1)), ((0xFFFFFFFF, 2),)])
@@ -155,8 +201,15 @@ def test_digest_ranges_must_ascend_with_gaps(ranges: tuple[tuple[int, int], ...]
         unpack(pack(Digest(0.0, (SourceRanges(0, ranges),)), 0, 1))
 
 
+@pytest.mark.parametrize("numbers", [(5, 5), (6, 5)])
+def test_knots_of_a_correction_ascend(numbers: tuple[int, int]) -> None:
+    knots = tuple(CorrectionKnot(number, (0.0, 0.0, 0.0), (0.0, 0.0, 0.0)) for number in numbers)
+    with pytest.raises(WireError, match="ascend"):
+        unpack(pack(Corrections(1, 1, knots), 0, 1))
+
+
 def test_unknown_versions_and_kinds_are_refused() -> None:
-    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 11, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
+    for head in (bytes([2, 7, 0, 1, 5, 0]), bytes([1, 16, 0, 1, 5, 0]), bytes([1, 0, 0, 1])):
         with pytest.raises(WireError, match="unknown version"):
             unpack(head + struct.pack("<I", crc32c(head)))
 

@@ -14,6 +14,7 @@ from onboard.sharing import KeyframeStore, LinkCore
 from onboard.sharing.frames import pack, unpack
 from onboard.sharing.messages import (
     Ack,
+    Chunk,
     Digest,
     KeyframeMessage,
     Message,
@@ -239,6 +240,16 @@ def test_small_messages_go_before_keyframes_and_the_newest_of_a_kind_wins() -> N
     ] * 5
     channel.run(1)
     assert channel.messages[1] == [(0, Release((1.0, 0.0, 0.0))), (0, Propose(2, (0.0, 0.0, 0.0), 9.0))]
+
+
+def test_all_chunks_of_one_step_go_out_and_an_unsent_one_is_replaced_by_its_like() -> None:
+    cores = team(0, 1)
+    channel = Channel(cores)
+    channel.run(5)
+    for index, payload in ((0, b"a"), (1, b"b"), (0, b"c")):
+        cores[0].post(Chunk(1, 2, index, payload), 1)
+    channel.run(1)
+    assert channel.messages[1] == [(0, Chunk(1, 2, 1, b"b")), (0, Chunk(1, 2, 0, b"c"))]
 
 
 def test_messages_wait_for_contact() -> None:

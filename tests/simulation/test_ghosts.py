@@ -10,13 +10,14 @@ import pytest
 
 from ground_station.cli.terminal import default_config_path
 from onboard.codec import encode
-from onboard.core.config import Config, LidarSettings, load_config
+from onboard.core.config import BracketSettings, Config, LidarSettings, load_config
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
+from onboard.localization.bracket import carried_pose
 from onboard.mapping.voxel_map import OCCUPIED, VoxelMap
+from onboard.mission import Phase
 from onboard.robot.roles import Team
 from onboard.robot.sensing import Sensing
-from simulation.agent import bracket_pose
 from simulation.lidar import Body, LidarSimulator
 from simulation.scene import Scene
 from simulation.worlds.solids import Mesh, hull, joined
@@ -95,7 +96,7 @@ def test_rays_without_return_clear():
 def team(name: str, position: np.ndarray, stamp_s: float) -> Team:
     """The team as one robot knows it: its only peer has told this position."""
     settings = CONFIG.robot(name)
-    status = SimpleNamespace(position_m=tuple(position), stamp_s=stamp_s)
+    status = SimpleNamespace(position_m=tuple(position), stamp_s=stamp_s, phase=int(Phase.EXPLORING))
     link: Any = SimpleNamespace(peer_status=lambda _peer: status)
     sensing = Sensing(settings, VoxelMap())
     nothing: Any = None
@@ -123,7 +124,7 @@ def test_carrier_mask_keeps_the_carrier_out_of_the_map_of_its_rider():
     ground = Pose.from_rpy(np.array([1.0, 0.2, 0.0]), yaw_rad=0.6)
     centre = Pose.from_rpy(ground.position + np.array([0, 0, WALKER_M[2] / 2]), yaw_rad=0.6)
     observer = team("aerial", ground.position, 0.0)
-    rider = bracket_pose(ground, WALKER_M[2])
+    rider = carried_pose(ground, WALKER_M[2], BracketSettings())
     assert hanging(masked_map(observer, rider, (centre, WALKER_M), 0.0, "os0-64")) == 0
     away = Pose.from_rpy(ground.position + np.array([2.5, 0.3, 1.3]))
     assert hanging(masked_map(observer, away, (centre, WALKER_M), 0.0, "os0-64")) == 0
@@ -143,7 +144,9 @@ def test_shared_keyframe_never_clears_own_surfaces_nor_what_touches_them():
     for step in range(12):
         place = Pose.from_rpy(np.array([2.0 + 0.4 * step, -0.4, 1.1]), yaw_rad=0.5 * step)
         scan = lidar("os0-64", seed=step).scan(place, 1.0 + step)[0]
-        assert sensing.receive(encode(scan, place)) is not None
+        keyframe = sensing.decoded(encode(scan, place))
+        assert keyframe is not None
+        sensing.receive(keyframe, keyframe.pose)
     after = set(map(tuple, voxel_map.occupied_indices().tolist()))
     assert before <= after
     lost = VoxelMap()

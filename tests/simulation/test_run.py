@@ -46,6 +46,8 @@ ROBOT = {
     "map_ms_p50",
     "home",
     "home_t_s",
+    "pose_error_m",
+    "worst_pose_error_m",
 }
 MERGED = {"occ_f1", "occ_precision", "occ_recall", "free_iou", "unsafe26"}
 FILES = {"metrics.json", "map.ply", "events.jsonl", "report.html"}
@@ -123,6 +125,7 @@ def test_the_robots_numbers_fit_each_other(finished):
     for robot in (ground, aerial):
         assert 0 < robot["keyframes"] <= robot["keyframe_bytes"] <= robot["bytes_sent"]
         assert 0 < robot["plan_ms_p50"] <= robot["plan_ms_p99"]
+        assert 0 < robot["pose_error_m"] <= robot["worst_pose_error_m"] < 0.1
         assert robot["map_ms_p50"] > 0
         assert robot["plans"] > 0
         assert robot["home"] is (robot["home_t_s"] is not None)

@@ -64,9 +64,10 @@ class Simulator:
         team: str,
         progress: Callable[[FakeProgress], None],
         octomap: bool,
+        poses: str,
     ) -> dict[str, Any]:
         self.calls.append((config, world, seed, out, team))
-        self.octomap = octomap
+        self.octomap, self.poses = octomap, poses
         with EventLog(out / "events.jsonl") as log:
             log.write(0.0, "start")
             progress(FakeProgress())

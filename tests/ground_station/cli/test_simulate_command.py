@@ -56,12 +56,15 @@ def test_simulate_passes_everything_on(cli: Any, simulator: Any, tmp_path: Path)
         "--start",
         "-1,2,0.5",
         "--bt",
+        "--poses",
+        "true",
     ]
     result = cli.run("simulate", *arguments, "--out", out)
     assert result.exit_code == 0, result.output
     config, _, seed, path, team = simulator.calls[0]
     assert (config.mission.duration_s, seed, path, team) == (60.5, 7, out, "ground")
     assert simulator.octomap
+    assert simulator.poses == "true"
     assert simulator.worlds == [("cave", 7, (-1.0, 2.0, 0.5))]
     assert "100.0 m³" in result.stdout
     assert str(out / "report.html") in result.stdout
@@ -72,6 +75,7 @@ def test_defaults_are_the_shipped_team_and_its_duration(cli: Any, simulator: Any
     assert cli.run("simulate", "--out", tmp_path / "run").exit_code == 0
     config, _, seed, _, team = simulator.calls[0]
     assert not simulator.octomap
+    assert simulator.poses == "estimated"
     assert [robot.name for robot in config.robots] == ["ground", "aerial"]
     assert (config.mission.duration_s, seed, team) == (900.0, 1, "both")
 
@@ -97,6 +101,7 @@ def test_impossible_durations_are_refused(cli: Any, simulator: Any, tmp_path: Pa
         ["--duration", "long"],
         ["--seed", "-1"],
         ["--team", "nobody"],
+        ["--poses", "guessed"],
         ["--start", "1,2"],
         ["--start", "a,b,c"],
         ["--start", "nan,0,0"],

@@ -34,11 +34,16 @@ def test_map_reports_and_prints(cli: Any, monkeypatch: pytest.MonkeyPatch, tmp_p
     calls: list[tuple[Any, ...]] = []
 
     def fake(
-        path: Path, sensor: str, out: Path, progress: Callable[[int, int | None], None], settings: Any
+        path: Path,
+        sensor: str,
+        out: Path,
+        progress: Callable[[int, int | None], None],
+        settings: Any,
+        reference: Path | None,
     ) -> dict[str, Any]:
         progress(3, None)
         progress(10, 10)
-        calls.append((path, sensor, out, settings.octomap, settings.mesh))
+        calls.append((path, sensor, out, settings.octomap, settings.mesh, settings.rate_hz, reference))
         return {"scans": 10}
 
     module = ModuleType("ground_station.recording")
@@ -46,9 +51,11 @@ def test_map_reports_and_prints(cli: Any, monkeypatch: pytest.MonkeyPatch, tmp_p
     monkeypatch.setitem(sys.modules, "ground_station.recording", module)
     recording = tmp_path / "walk.pcap"
     recording.write_bytes(b"")
-    result = cli.run("map", recording, "--sensor", "os0-64", "--out", tmp_path / "map", "--json", "--mesh")
+    out, known = tmp_path / "map", tmp_path / "truth.txt"
+    options = ("--sensor", "os0-64", "--json", "--mesh", "--rate", "5", "--reference", known)
+    result = cli.run("map", recording, "--out", out, *options)
     assert json.loads(result.stdout) == {"scans": 10}
-    assert calls == [(recording, "os0-64", tmp_path / "map", False, True)]
+    assert calls == [(recording, "os0-64", out, False, True, 5.0, known)]
     assert "Scans" in cli.run("map", recording, "--out", tmp_path / "map").stdout
 
 

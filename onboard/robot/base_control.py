@@ -1,0 +1,95 @@
+"""Everything between a planned path and the link to a legged base: posture, tracking, gate; no I/O."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from onboard.core.base import STILL, BaseOdometry, BodyVelocity, Posture
+from onboard.core.config import BaseLink, RobotSettings
+from onboard.core.geometry import FloatArray
+from onboard.planning.follower import REST
+from onboard.robot.posture import PostureKeeper
+from onboard.robot.tracker import STALE_S, BaseTracker, Stamped, StampedPath
+
+Gate = Callable[[float, BodyVelocity, BaseOdometry], str]
+"""(now_s, velocity, newest odometry) -> why it must not be sent, "" for no reason."""
+
+
+class PostureAnswer(NamedTuple):
+    """What the base answered to a request; `ok` means that it agreed."""
+
+    posture: Posture
+    ok: bool
+    text: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BaseInputs:
+    """What has come since the last step, and what is wanted."""
+
+    now_s: float
+    odometry: Sequence[BaseOdometry] = ()
+    answers: Sequence[PostureAnswer] = ()
+    where: Stamped | None = None
+    path: StampedPath | None = None
+    posture: Posture | None = None
+    """None: as it is."""
+
+
+@dataclass(frozen=True, slots=True)
+class BaseOutputs:
+    """What to send: a velocity always, for the base's dead man; a request where one is due."""
+
+    velocity: BodyVelocity
+    request: Posture | None
+    halt: str
+    """Why the velocity is zero, "" where it is not meant to be."""
+
+
+class BaseControl:
+    """One base. It moves only where odometry, path and pose are fresh, it stands, and the gate agrees."""
+
+    def __init__(self, settings: RobotSettings, link: BaseLink, gate: Gate) -> None:
+        self.posture = PostureKeeper(link.settle_s)
+        self._tracker = BaseTracker(settings, link.stairs_speed_m_s)
+        self._gate = gate
+        self._odometry: BaseOdometry | None = None
+
+    def step(self, inputs: BaseInputs) -> BaseOutputs:
+        """What to send now; call it `rate_hz` times a second."""
+        now_s = inputs.now_s
+        if inputs.odometry:
+            self._odometry = inputs.odometry[-1]
+        odometry = self._fresh(now_s)
+        for answer in inputs.answers:
+            self.posture.answered(now_s, *answer)
+        if inputs.posture is not None:
+            self.posture.want(inputs.posture)
+        request = self.posture.step(now_s, _speed(odometry))
+        standing = self.posture.is_in(now_s, "stand")
+        moving = _moving(odometry, inputs.where)
+        drive = self._tracker.step(now_s, inputs.where, inputs.path, standing, moving)
+        halt = drive.halt or self._refusal(now_s, drive.velocity, odometry)
+        if halt:
+            self._tracker.rest()
+        return BaseOutputs(STILL if halt else drive.velocity, request, halt)
+
+    def _fresh(self, now_s: float) -> BaseOdometry | None:
+        newest = self._odometry
+        return newest if newest is not None and 0.0 <= now_s - newest.stamp_s < STALE_S else None
+
+    def _refusal(self, now_s: float, velocity: BodyVelocity, odometry: BaseOdometry | None) -> str:
+        return "stale odometry" if odometry is None else self._gate(now_s, velocity, odometry)
+
+
+def _speed(odometry: BaseOdometry | None) -> float | None:
+    return None if odometry is None else float(np.linalg.norm(odometry.linear_m_s))
+
+
+def _moving(odometry: BaseOdometry | None, where: Stamped | None) -> FloatArray:
+    """The body's velocity (3,) in the map frame."""
+    return REST if odometry is None or where is None else where.pose.rotation @ odometry.linear_m_s

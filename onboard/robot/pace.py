@@ -1,0 +1,58 @@
+"""How fast a legged base may walk: by the slope of the way ahead, braked for in time."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from onboard.core.geometry import FloatArray, Pose
+from onboard.planning.plan import remaining_path
+
+FLAT_RAD = 0.14
+"""Up to here (8 degrees) floors count as level: floor heights in a map are rough."""
+STEEP_RAD = 0.40
+"""From here on (23 degrees; the flattest common stairs have 27) ground is walked as if it were stairs."""
+LOOK_M = 1.6
+STEP_M = 0.2
+BRAKE_RATIO = 0.7
+
+
+def pace(slope_rad: float, speed_m_s: float, stairs_m_s: float) -> float:
+    """Speed on ground of this slope, up or down: full on the level, that of stairs where it is steep."""
+    steep = np.clip((abs(slope_rad) - FLAT_RAD) / (STEEP_RAD - FLAT_RAD), 0.0, 1.0)
+    return float(speed_m_s + steep * (min(stairs_m_s, speed_m_s) - speed_m_s))
+
+
+def slope_limit(
+    pose: Pose, path: FloatArray, body_m: float, speed_m_s: float, stairs_m_s: float, brake_m_s2: float
+) -> float:
+    """Highest speed now from which the robot is slow enough wherever the way gets steep.
+
+    Slopes are those of the path (M, 3) over one length of the body, and the tilt of the body itself: neither
+    tells all, for maps are rough and a body tilts only when it is on the stairs.
+    """
+    limit = pace(tilt(pose), speed_m_s, stairs_m_s)
+    for distance, slope_rad in slopes_ahead(remaining_path(pose.position, path), body_m):
+        allowed = pace(slope_rad, speed_m_s, stairs_m_s)
+        # half a body: so far ahead of its middle the slope may begin; half: the front legs get there first
+        room = max(0.0, distance - body_m)
+        limit = min(limit, float(np.sqrt(allowed**2 + 2 * BRAKE_RATIO * brake_m_s2 * room)))
+    return limit
+
+
+def slopes_ahead(way: FloatArray, body_m: float) -> list[tuple[float, float]]:
+    """(distance m, slope rad) along the first metres of a way (M, 3), each over one length of the body."""
+    runs = np.linalg.norm(np.diff(way[:, :2], axis=0), axis=1)
+    along = np.concatenate([[0.0], np.cumsum(runs)])
+    end = float(min(along[-1], LOOK_M + body_m))
+    if end < STEP_M:
+        return []
+    middles = np.arange(0.0, max(end - body_m / 2, 0.0) + 1e-9, STEP_M)
+    starts, ends = np.maximum(middles - body_m / 2, 0.0), np.minimum(middles + body_m / 2, end)
+    rises = np.interp(ends, along, way[:, 2]) - np.interp(starts, along, way[:, 2])
+    slopes = np.arctan2(rises, np.maximum(ends - starts, STEP_M))
+    return [(float(middle), float(slope)) for middle, slope in zip(middles, slopes, strict=True)]
+
+
+def tilt(pose: Pose) -> float:
+    """Angle in radians between the body's z axis and the vertical."""
+    return float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
