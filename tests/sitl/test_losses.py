@@ -1,4 +1,4 @@
-"""What happens when something is lost: each test is a row of the failsafe table in docs/autopilot.md."""
+"""What happens when something is lost: each test is a row of the failsafe table in docs/safety.md."""
 
 from __future__ import annotations
 
