@@ -31,7 +31,8 @@ RATES_HZ: dict[str, float] = {
     "VFR_HUD": 0.0,
 }
 """What the link needs of the vehicle, and what only fills a serial line (0: off)."""
-FIRST_ASKED = ("CURRENT_MODE", "EXTENDED_SYS_STATE", "ODOMETRY", "POSITION_TARGET_LOCAL_NED")
+FIRST_ASKED = ("HEARTBEAT", "EXTENDED_SYS_STATE", "ODOMETRY", "POSITION_TARGET_LOCAL_NED")
+"""HEARTBEAT for the mode: a PX4 answers a request for CURRENT_MODE only when its status is new, twice a second."""
 
 
 class Wishes:

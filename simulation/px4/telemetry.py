@@ -225,6 +225,8 @@ STREAMS: dict[str, tuple[Build, float]] = {
 TRUTH_STREAMS: dict[str, tuple[Build, float]] = {"HIL_STATE_QUATERNION": (truth, 25.0)}
 FIXED = {message["HEARTBEAT"].id}
 """A PX4 answers FAILED to a wish for another rate of these."""
+STATUS_S = 0.5
+"""So often a PX4 publishes its status; CURRENT_MODE is sent, and sent on request, only when that is new."""
 
 
 @dataclass
@@ -237,6 +239,7 @@ class Link:
     """A ground station's heartbeat came over this link: STATUSTEXT is sent."""
     out: list[bytes] = field(default_factory=list)
     _intervals: dict[str, int] = field(default_factory=dict)
+    _status: tuple[int, int, int] | None = None
 
     def __post_init__(self) -> None:
         self._intervals = {name: round(TICKS_S / rate) for name, (_, rate) in self.streams.items()}
@@ -257,16 +260,26 @@ class Link:
 
     def request(self, number: int, autopilot: Autopilot) -> bool:
         """MAV_CMD_REQUEST_MESSAGE of a streamed message."""
-        for name, (build, _) in self.streams.items():
-            if message[name].id == number and (packet := build(autopilot)) is not None:
+        for name in self.streams:
+            if message[name].id == number and (packet := self._built(name, autopilot)) is not None:
                 self.send(packet)
                 return True
         return False
+
+    def _built(self, name: str, autopilot: Autopilot) -> Any:
+        """A streamed message as it is now, or None if there is nothing to say."""
+        if name == "CURRENT_MODE":
+            status = autopilot.status
+            published = (status.mode, status.intended, int(status.now_s / STATUS_S))
+            if published == self._status:
+                return None
+            self._status = published
+        return self.streams[name][0](autopilot)
 
     def stream(self, tick: int, autopilot: Autopilot) -> None:
         """Queue what is due at this hundredth of a second."""
         for place, (name, interval) in enumerate(self._intervals.items()):
             if interval and (tick + 7 * place) % interval == 0:
-                packet = self.streams[name][0](autopilot)
+                packet = self._built(name, autopilot)
                 if packet is not None:
                     self.send(packet)

@@ -80,6 +80,21 @@ def test_mode_change_has_two_acks_and_the_first_always_says_yes() -> None:
     assert bench.all("CURRENT_MODE")[-1].custom_mode == modes.LAND, "sent when it changes"
 
 
+def test_mode_on_request_comes_with_a_new_status_only_and_with_a_heartbeat_always() -> None:
+    bench = Bench()
+    bench.run(4.0)
+    bench.command(511, message["CURRENT_MODE"].id, 20_000)
+    bench.run(0.5)
+    begun_s, before = bench.now_s, len(bench.all("CURRENT_MODE"))
+    for _ in range(10):
+        bench.command(512, message["CURRENT_MODE"].id)
+        bench.command(512, message["HEARTBEAT"].id)
+        bench.run(0.1)
+    told, most = len(bench.all("CURRENT_MODE")) - before, 2 * (bench.now_s - begun_s)
+    assert most - 1.5 <= told <= most + 1.5, "twice a second, however often it is wanted"
+    assert len(bench.all("HEARTBEAT")) >= 10
+
+
 @pytest.mark.parametrize(
     ("act", "origin", "mode"),
     [
