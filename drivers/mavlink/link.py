@@ -111,6 +111,11 @@ class VehicleLink:
         known = self.state.position
         return None if known is None else self.feed.bridge.place_back(known)
 
+    def yaw(self) -> float | None:
+        """The vehicle's own estimate of its heading, in the map frame."""
+        known = self.state.yaw
+        return None if known is None else math.remainder(known - self.feed.bridge.yaw, math.tau)
+
     def target(self) -> Vector | None:
         """Where the vehicle says that it is flying to, in the map frame."""
         known = self.state.target

@@ -32,7 +32,7 @@ RATES_HZ: dict[str, float] = {
 }
 """What the link needs of the vehicle, and what only fills a serial line (0: off)."""
 FIRST_ASKED = ("HEARTBEAT", "EXTENDED_SYS_STATE", "ODOMETRY", "POSITION_TARGET_LOCAL_NED")
-"""HEARTBEAT for the mode: a PX4 answers a request for CURRENT_MODE only when its status is new, twice a second."""
+"""HEARTBEAT tells the mode: a PX4 has an answer for CURRENT_MODE only twice a second."""
 
 
 class Wishes:

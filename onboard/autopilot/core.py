@@ -159,18 +159,22 @@ class AutopilotCore:
                 return self._adopt(inputs, dt_s)
             self._decided = True
             if vehicle.in_air:
+                self._actions.append(Action.STOP)
                 self._go(inputs, Phase.LOST, "started in flight, without pose or offboard")
         return None
 
     def _adopt(self, inputs: Inputs, dt_s: float) -> Setpoint | None:
-        pose, vehicle = inputs.pose, inputs.vehicle
-        if not self._senses.sees(inputs) or pose is None:
-            return None
+        """Hold where the vehicle was going: at once in its own words, with the first pose in the map's."""
+        pose, vehicle, leash_m = inputs.pose, inputs.vehicle, self.settings.leash_m
+        self._actions += [] if vehicle.streaming else [Action.ADOPT]
+        if pose is None or not self._senses.sees(inputs):
+            if vehicle.position is None or vehicle.yaw is None:
+                return None
+            held = Aim(vehicle.goal(vehicle.position, leash_m), ZERO, vehicle.yaw, None)
+            return self.shaper.shape(inputs.now_s, held, vehicle.position, vehicle.position_s)
         self._decided = True
-        self._actions.append(Action.ADOPT)
-        target = vehicle.target
-        near = target is not None and math.dist(target, pose.position) < self.settings.leash_m
-        self.reference.start(target if near and target is not None else pose.position, ZERO, pose.yaw)
+        self.shaper.forget()
+        self.reference.start(vehicle.goal(pose.position, leash_m), ZERO, pose.yaw)
         self._go(inputs, Phase.FLYING, "started in flight: holding")
         return self._flying(inputs, dt_s)
 

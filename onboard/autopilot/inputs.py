@@ -116,8 +116,15 @@ class VehicleFacts:
     position: Vector | None = None
     """The vehicle's own estimate, in the map frame, heard at `position_s`."""
     position_s: float = -math.inf
+    yaw: float | None = None
+    """Its own heading, map frame."""
     target: Vector | None = None
     """Where the vehicle flies to, map frame."""
+
+    def goal(self, place: Vector, within_m: float) -> Vector:
+        """Where the vehicle flies to if that is not farther than `within_m` from `place`, else `place`."""
+        near = self.target is not None and math.dist(self.target, place) < within_m
+        return self.target if near and self.target is not None else place
 
 
 @dataclass(frozen=True)

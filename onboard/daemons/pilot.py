@@ -95,6 +95,7 @@ class Pilot:
             known=state.mode is not None and state.landed_state is not None,
             position=link.position(),
             position_s=state.position_s,
+            yaw=link.yaw(),
             target=link.target(),
         )
 

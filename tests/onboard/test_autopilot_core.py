@@ -213,13 +213,32 @@ def test_started_in_flight_it_holds_where_the_vehicle_was_going() -> None:
     assert out.setpoint.velocity == (0.0, 0.0, 0.0)
 
 
+def test_started_in_flight_it_holds_before_the_first_pose_but_not_for_long() -> None:
+    core, begun_s = AutopilotCore(FLIGHT), 10.0
+    facts = replace(HOVER, position=(0.1, 0.0, 2.0), yaw=0.5, target=(0.4, 0.0, 2.0), streaming=False)
+    held_s = 0.0
+    for tick in range(30):
+        now_s = begun_s + tick * DT_S
+        out = core.step(Inputs(now_s, replace(facts, position_s=now_s)))
+        assert (Action.ADOPT in out.actions) is (tick == 0)
+        facts = replace(facts, streaming=True)
+        if out.setpoint is None:
+            break
+        assert out.setpoint.position == pytest.approx((0.4, 0.0, 2.0))
+        assert not any(out.setpoint.velocity)
+        held_s = now_s - begun_s
+    assert 0.9 < held_s <= 1.05
+    assert out.phase is Phase.LOST
+    assert Action.STOP in out.actions
+
+
 def test_started_in_flight_under_a_failsafe_it_stays_out() -> None:
     run = Run()
     run.facts = replace(HOVER, offboard=False, streaming=False, landing=True)
     out = run.run(3.0)
     assert out.phase is Phase.LOST
     assert out.setpoint is None
-    assert not out.actions
+    assert Action.ADOPT not in out.actions
 
 
 def test_order_of_the_process_before_is_not_carried_out() -> None:

@@ -8,7 +8,8 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rig import PARAMETERS, BuiltIn, RealPx4, Rig
+from rig import PARAMETERS, Rig
+from vehicles import BuiltIn, RealPx4
 
 
 @pytest.fixture(params=["built-in", "px4"])

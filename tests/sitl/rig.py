@@ -1,27 +1,23 @@
-"""A vehicle to test on, its truth, and our pilot: the same for the built-in vehicle and for a real PX4.
+"""A vehicle to test on and our pilot: the same for the built-in vehicle and for a real PX4.
 
-Both speak over bytes only. The truth is HIL_STATE_QUATERNION, which a PX4 with its built-in simulator sends
-to its display; external vision is made of it, late and with noise. Positions are east, north, up from the
-place of the start, plus the height of the carrier on which the vehicle believes to stand.
+External vision is made of the truth about the vehicle, late and with noise.
 """
 
 from __future__ import annotations
 
 import math
-import os
 import random
-import socket
-import subprocess
-import tempfile
 import time
+from collections import deque
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from statistics import fmean
+
+from vehicles import KEY, BuiltIn, RealPx4, Truth, Vector
 
 from drivers.mavlink.channel import Channel
-from drivers.mavlink.frames import Pose, swap, tilt_of, turned_yaw, yaw_of_ned
+from drivers.mavlink.frames import Pose
 from drivers.mavlink.link import LinkSettings, VehicleLink
 from drivers.mavlink.parameter_check import Expected, load_parameters
 from drivers.mavlink.signing import Signer, stamp_of
@@ -29,133 +25,13 @@ from onboard.autopilot.core import AutopilotCore
 from onboard.autopilot.inputs import Guidance, Order, Wish
 from onboard.autopilot.settings import FlightSettings
 from onboard.daemons.pilot import Pilot
-from simulation.px4.process import PORTS, UdpLink
-from simulation.px4.telemetry import EARTH_M
-from simulation.px4.vehicle import COMPANION_LINK, STATION_LINK, TRUTH_LINK, Px4Vehicle
 
 ROOT = Path(__file__).parents[2]
 PARAMETERS = load_parameters(ROOT / "config/px4/aerial.params")
-KEY = bytes(range(32))
-TICK_S = 0.01
-CARRIER_M = 0.8
 POSE_EVERY, POSE_LATE_S, POSE_NOISE_M = 10, 0.04, 0.02
-Vector = tuple[float, float, float]
-
-
-@dataclass
-class Truth:
-    """Where the vehicle really is."""
-
-    position: Vector = (0.0, 0.0, 0.0)
-    velocity: Vector = (0.0, 0.0, 0.0)
-    yaw: float = 0.0
-    tilt: float = 0.0
-    start: tuple[float, float, float] | None = None
-    heard: int = 0
-
-    def note(self, packet: Any) -> None:
-        """One HIL_STATE_QUATERNION."""
-        lat, lon, alt = packet.lat * 1e-7, packet.lon * 1e-7, packet.alt * 1e-3
-        if self.start is None:
-            self.start = (lat, lon, alt)
-        north = math.radians(lat - self.start[0]) * EARTH_M
-        east = math.radians(lon - self.start[1]) * EARTH_M * math.cos(math.radians(lat))
-        self.position = (east, north, alt - self.start[2] + CARRIER_M)
-        self.velocity = swap((packet.vx / 100, packet.vy / 100, packet.vz / 100))
-        q = tuple(packet.attitude_quaternion)
-        self.yaw, self.tilt = turned_yaw(yaw_of_ned(q)), tilt_of(q)
-        self.heard += 1
-
-
-class BuiltIn:
-    """The simulator's own vehicle, in this process, as fast as it goes."""
-
-    name = "built-in"
-
-    def __init__(self, parameters: dict[str, float], seed: int) -> None:
-        links = (COMPANION_LINK, STATION_LINK, TRUTH_LINK)
-        self.vehicle = Px4Vehicle(parameters, seed=seed, key=KEY, links=links)
-        self.now_s = 0.0
-        self._truth: list[bytes] = []
-
-    def exchange(self, data: bytes) -> bytes:
-        """Send to the companion link, let a tick pass, give what came back."""
-        self.now_s = round(self.now_s + TICK_S, 6)
-        frames = self.vehicle.exchange(self.now_s, {COMPANION_LINK: data})
-        self._truth += frames[TRUTH_LINK]
-        return b"".join(frames[COMPANION_LINK])
-
-    def truth(self) -> bytes:
-        """What the simulator has said of the truth since the last call."""
-        found, self._truth = b"".join(self._truth), []
-        return found
-
-    def command(self, data: bytes) -> None:
-        """Send over the station's link, as the operator's tablet would."""
-        self.vehicle.exchange(self.now_s, {STATION_LINK: data})
-
-    def close(self) -> None:
-        """Nothing to end."""
-
-
-class RealPx4:
-    """A PX4 in software in the loop with its SIH simulator, one process per test."""
-
-    name = "px4"
-
-    def __init__(self, build: Path, parameters: dict[str, float], instance: int) -> None:
-        self._folder = tempfile.TemporaryDirectory(prefix="px4-")
-        keys = Path(self._folder.name) / "mavlink"
-        keys.mkdir()
-        (keys / "mavlink-signing-key.bin").write_bytes(KEY + stamp_of(time.time()).to_bytes(8, "little"))
-        (local, remote), (truth_local, truth_remote) = PORTS[COMPANION_LINK], PORTS[TRUTH_LINK]
-        self._link = UdpLink(remote + instance, local + instance)
-        self._truth = UdpLink(truth_remote + instance, truth_local + instance)
-        given = {f"PX4_PARAM_{name}": f"{value:.9g}" for name, value in parameters.items()}
-        command = [
-            str(build / "bin/px4"),
-            "-d",
-            "-i",
-            str(instance),
-            "-w",
-            self._folder.name,
-            str(build / "etc"),
-        ]
-        self._process = subprocess.Popen(
-            command,
-            env={**os.environ, "PX4_SIM_MODEL": "sihsim_quadx", **given},
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-        )
-        self._begun_s = time.monotonic()
-        self.now_s = 0.0
-
-    def exchange(self, data: bytes) -> bytes:
-        """The same as the built-in one's, in real time."""
-        self._link.send([data] if data else [])
-        time.sleep(max(0.0, self._begun_s + self.now_s + TICK_S - time.monotonic()))
-        self.now_s = time.monotonic() - self._begun_s
-        return self._link.receive()
-
-    def truth(self) -> bytes:
-        return self._truth.receive()
-
-    def command(self, data: bytes) -> None:
-        """A second sender on the companion port: its commands run."""
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
-            other.sendto(data, self._link._remote)
-
-    def close(self) -> None:
-        self._process.terminate()
-        with suppress(subprocess.TimeoutExpired):
-            self._process.wait(5.0)
-        self._process.kill()
-        self._link.close()
-        self._truth.close()
-        self._folder.cleanup()
-
-
+TRAIL_S, HOVER_S = 8.0, 5.0
+CALM_M = 0.1
+"""A vehicle that wanders farther than this in an undisturbed hover gets the rest on top of a limit."""
 Vehicle = BuiltIn | RealPx4
 
 
@@ -180,6 +56,8 @@ class Rig:
         self.seeing = True
         self.jump: Vector = (0.0, 0.0, 0.0)
         self.sent: list[float] = []
+        self.wander_m = 0.0
+        self._trail: deque[tuple[float, Vector]] = deque()
         self._noise = random.Random(self.seed)
         self._late: list[tuple[float, Pose]] = []
         self._data = b""
@@ -222,6 +100,7 @@ class Rig:
                 self.sent.append(self.now_s)
             self._data = self.vehicle.exchange(out)
             self._hear_truth()
+            self._remember()
             if each is not None:
                 each()
 
@@ -231,6 +110,7 @@ class Rig:
         while self.now_s < end_s - 1e-6:
             self.vehicle.exchange(b"")
             self._hear_truth()
+            self._remember()
             if each is not None:
                 each()
 
@@ -247,6 +127,11 @@ class Rig:
         for packet in self._truth_channel.receive(self.vehicle.truth()):
             if packet.get_type() == "HIL_STATE_QUATERNION":
                 self.truth.note(packet)
+
+    def _remember(self) -> None:
+        self._trail.append((self.now_s, self.truth.position))
+        while self._trail[0][0] < self.now_s - TRAIL_S:
+            self._trail.popleft()
 
     def _feed(self) -> None:
         self._tick += 1
@@ -273,21 +158,43 @@ class Rig:
         self.pilot.order(Order(self.now_s, wish, height_m, 2.0))
 
     def take_off(self, height_m: float = 1.2) -> None:
-        """Stand on the carrier, arm, climb, hover."""
-        ready = self.run_until(lambda: not self.link.problems and self.link.state.sees(self.now_s), 15.0)
-        assert ready, self.link.problems
-        self.run(4.0)
+        """Stand on the carrier, arm, climb, hover; how much it wanders while nothing happens is noted."""
+        self.wait_ready()
         self.order(Wish.TAKE_OFF, height_m)
         assert self.run_until(lambda: self.said("took off"), 20.0), self.notes
-        self.run(3.0)
+        self.run(2.0 + HOVER_S)
+        middle = self.place(HOVER_S)
+        hover = [place for t, place in self._trail if t > self.now_s - HOVER_S]
+        self.wander_m = max(math.dist(middle, place) for place in hover)
+
+    def wait_ready(self) -> None:
+        """Until nothing speaks against arming, and its heading has had time to settle."""
+        ready = self.run_until(lambda: not self.link.problems and self.link.state.sees(self.now_s), 20.0)
+        assert ready, (self.link.problems, self.link.counts)
+        self.run(4.0)
 
     def landed(self, seconds: float) -> bool:
         """Whether it stands, disarmed, within so long."""
         state = self.link.state
         return self.run_until(lambda: state.on_ground and state.armed is False, seconds)
 
+    def place(self, seconds: float = 1.0) -> Vector:
+        """Where it was lately, in the mean: the noise of a hover is not what tests look for."""
+        x, y, z = zip(*(place for t, place in self._trail if t > self.now_s - seconds), strict=True)
+        return fmean(x), fmean(y), fmean(z)
+
+    def allowed(self, limit_m: float) -> float:
+        """A limit of motion for this vehicle: a PX4 with SIH wanders by decimetres all the time."""
+        return limit_m + max(0.0, self.wander_m - CALM_M)
+
+    def drift_m_s(self) -> float:
+        """How fast it moves on in the mean, over two seconds."""
+        before = self.place()
+        self.run(2.0)
+        return math.dist(before, self.place()) / 2.0
+
     def moved(self, seconds: float, run: Callable[..., None] | None = None) -> float:
         """How far from where it was it goes, horizontally, while time passes."""
-        begin, far = self.truth.position, [0.0]
+        begin, far = self.place(), [0.0]
         (run or self.run)(seconds, lambda: far.append(math.dist(begin[:2], self.truth.position[:2])))
         return max(far)

@@ -8,7 +8,8 @@ import random
 from collections.abc import Callable
 from statistics import median
 
-from rig import CARRIER_M, PARAMETERS, Rig, Vector
+from rig import PARAMETERS, Rig
+from vehicles import CARRIER_M, Vector
 
 from onboard.autopilot.inputs import Guidance, Path, Phase, Wish
 from onboard.autopilot.trajectory import projection
@@ -58,7 +59,7 @@ def test_take_off_path_and_landing(build_rig: Callable[..., Rig]) -> None:
     length_m = sum(math.dist(a, b) for a, b in itertools.pairwise(points))
     rig.run(length_m * 1.6, watch)
     assert rig.pilot.core.reference.finished
-    assert math.dist(rig.truth.position, points[-1]) < 0.4
+    assert math.dist(rig.place(), points[-1]) < 0.4
     figures = f"timed {median(late):.2f}, beside {median(beside):.2f} {p95(beside):.2f}"
     assert median(late) <= 0.5, figures
     assert median(beside) <= 0.25, figures
@@ -75,7 +76,7 @@ def test_take_off_path_and_landing(build_rig: Callable[..., Rig]) -> None:
 
 def test_lift_off_takes_its_time_and_follows_the_carrier_until_then(build_rig: Callable[..., Rig]) -> None:
     rig = build_rig()
-    rig.run(9.0)
+    rig.wait_ready()
     rig.order(Wish.TAKE_OFF, 1.2)
     assert rig.run_until(lambda: rig.link.state.armed is True, 5.0)
     armed_s = rig.now_s
@@ -87,7 +88,7 @@ def test_lift_off_takes_its_time_and_follows_the_carrier_until_then(build_rig: C
 def test_bracket_that_stays_closed_keeps_the_rotors_idle(build_rig: Callable[..., Rig]) -> None:
     rig = build_rig(COM_DISARM_PRFLT=6.0)
     rig.pilot.may_climb = False
-    rig.run(9.0)
+    rig.wait_ready()
     rig.order(Wish.TAKE_OFF, 1.2)
     assert rig.run_until(lambda: rig.link.state.armed is True, 5.0)
     rig.run(4.0)

@@ -7,7 +7,8 @@ import math
 from collections.abc import Callable
 
 import pytest
-from rig import CARRIER_M, Rig, hold
+from rig import Rig, hold
+from vehicles import CARRIER_M
 
 from drivers.mavlink import commands, modes
 from drivers.mavlink.channel import Channel
@@ -34,7 +35,7 @@ def test_half_a_second_without_pose_is_survived(build_rig: Callable[..., Rig]) -
     far_m = rig.moved(0.5)
     rig.seeing = True
     far_m = max(far_m, rig.moved(4.0))
-    assert far_m <= 0.4
+    assert far_m <= rig.allowed(0.4)
     assert rig.pilot.outputs.phase is Phase.FLYING
     assert rig.link.state.mode == modes.OFFBOARD
 
@@ -44,7 +45,7 @@ def test_five_seconds_without_pose_end_in_a_landing(build_rig: Callable[..., Rig
     rig.take_off()
     rig.seeing = False
     rig.run(1.6)
-    assert rig.said("pose silent")
+    assert rig.said("pose silent") or rig.said("went to AUTO.LAND"), "whoever is first: both wait for 1 s"
     assert not rig.link.streaming
     rig.run(3.4)
     assert rig.link.state.mode == modes.LAND
@@ -62,14 +63,14 @@ def test_pose_that_jumps_two_metres_moves_nothing(
     rig = build_rig()
     rig.take_off()
     rig.jump = way
-    assert rig.moved(6.0) <= 0.3
+    assert rig.moved(6.0) <= rig.allowed(0.3)
     assert rig.said("the pose has jumped")
     assert rig.pilot.outputs.phase is Phase.FLYING
     x, y, z = rig.truth.position
     there = (x + way[0] + 2.0, y + way[1], z)
     path = Path(9, (rig.pilot.core.reference.position, there), (3.0, 3.0))
     rig.guidance = lambda now_s: Guidance(now_s, path)
-    assert 1.6 < rig.moved(5.0) < 2.4, "a path of the new map is flown in the new map"
+    assert 1.6 < rig.moved(5.0) < rig.allowed(2.4), "a path of the new map is flown in the new map"
 
 
 def test_old_path_is_not_flown_after_a_jump(build_rig: Callable[..., Rig]) -> None:
@@ -78,7 +79,7 @@ def test_old_path_is_not_flown_after_a_jump(build_rig: Callable[..., Rig]) -> No
     said = rig.now_s
     rig.guidance = lambda now_s: Guidance(said, STRAIGHT)
     rig.jump = (2.0, 0.0, 0.0)
-    assert rig.moved(1.0) <= 0.3
+    assert rig.moved(1.0) <= rig.allowed(0.3)
 
 
 def test_planner_that_hangs_means_hold_then_landing(build_rig: Callable[..., Rig]) -> None:
@@ -104,7 +105,7 @@ def test_planner_that_hangs_means_hold_then_landing(build_rig: Callable[..., Rig
 def test_twenty_kills_in_flight(build_rig: Callable[..., Rig]) -> None:
     rig = build_rig()
     rig.take_off()
-    begin = rig.truth.position
+    begin = rig.place()
     worst_m = worst_s = 0.0
     changed = {rig.link.state.mode}
     for _ in range(KILLS):
@@ -116,8 +117,8 @@ def test_twenty_kills_in_flight(build_rig: Callable[..., Rig]) -> None:
         changed.add(rig.link.state.mode)
         assert rig.pilot.outputs.phase is Phase.FLYING
     assert worst_s <= 0.5
-    assert worst_m <= 0.5
-    assert math.dist(begin, rig.truth.position) <= 0.5, "it has wandered from kill to kill"
+    assert worst_m <= rig.allowed(0.5)
+    assert math.dist(begin, rig.place()) <= 0.5, "it has wandered from kill to kill"
     assert changed == {modes.OFFBOARD}
 
 
@@ -130,7 +131,7 @@ def test_kill_on_the_way_holds_and_does_not_go_on(build_rig: Callable[..., Rig])
     rig.start_pilot()
     rig.guidance = hold
     assert rig.moved(5.0) < 1.2
-    assert math.hypot(*rig.truth.velocity) < 0.3
+    assert rig.drift_m_s() < 0.2
 
 
 def test_kill_after_a_jump_of_the_map_moves_nothing(build_rig: Callable[..., Rig]) -> None:
@@ -141,7 +142,7 @@ def test_kill_after_a_jump_of_the_map_moves_nothing(build_rig: Callable[..., Rig
     rig.run(3.0)
     rig.run_dead(DOWN_S)
     rig.start_pilot()
-    assert rig.moved(5.0) <= 0.5
+    assert rig.moved(5.0) <= rig.allowed(0.5)
     assert rig.pilot.outputs.phase is Phase.FLYING
 
 
@@ -168,7 +169,7 @@ def test_companion_that_comes_back_late_does_not_take_over(build_rig: Callable[.
     rig.order(Wish.RESUME)
     assert rig.run_until(lambda: rig.pilot.outputs.phase is Phase.FLYING, 4.0), "an explicit order resumes"
     assert rig.link.state.mode == modes.OFFBOARD
-    assert rig.moved(4.0) < 0.5
+    assert rig.moved(4.0) < rig.allowed(0.5)
 
 
 def test_low_battery_lands_and_stays_down(build_rig: Callable[..., Rig]) -> None:
@@ -227,4 +228,4 @@ def test_velocities_stop_with_their_sender(build_rig: Callable[..., Rig]) -> Non
     assert rig.moved(4.0) > 2.0
     rig.guidance = hold
     assert rig.moved(4.0) < 1.5
-    assert math.hypot(*rig.truth.velocity) < 0.3
+    assert rig.drift_m_s() < 0.2

@@ -20,7 +20,8 @@ from pathlib import Path
 from typing import Any
 
 import msgspec
-from rig import KEY, PARAMETERS, ROOT, Truth
+from rig import PARAMETERS, ROOT
+from vehicles import KEY, Truth
 
 from drivers.mavlink.channel import Channel, Framer, message_number
 from drivers.mavlink.signing import stamp_of, store_key
@@ -36,13 +37,25 @@ RESTART_S = 0.2
 """RestartSec of the unit."""
 
 
-def free_instance() -> int:
-    """A number by which all ports of a vehicle are free on this machine."""
-    for instance in range(20 + os.getpid() % 100, 200):
-        ports = [port + instance for pair in PORTS.values() for port in pair]
+STATION_PORT = PORTS[STATION_LINK][1]
+
+
+def free_instance(build: str | None) -> int:
+    """A number by which all ports of a vehicle are free on this machine.
+
+    A PX4 beyond instance 9 sends to one companion port with all others, and to the same station's port ever.
+    """
+    for instance in range(1, 10) if build else range(20 + os.getpid() % 100, 200):
+        ports = [port + instance for pair in PORTS.values() for port in pair if port != STATION_PORT]
+        ports.append(station_port(build, instance))
         if all(map(_free, [*ports, DAEMON_PORT + instance, RELAY_PORT + instance])):
             return instance
     raise RuntimeError("no free ports")
+
+
+def station_port(build: str | None, instance: int) -> int:
+    """Where a vehicle looks for its station: each instance of the built-in one has its own."""
+    return STATION_PORT if build else STATION_PORT + instance
 
 
 def _free(port: int) -> bool:
@@ -75,7 +88,7 @@ class Wire:
     """Everything that runs, and what was seen of it."""
 
     def __init__(self, folder: Path, build: str | None) -> None:
-        self.instance = instance = free_instance()
+        self.instance = instance = free_instance(build)
         self._folder, self._processes = folder, []
         command, given = vehicle_command(build, instance, folder)
         (vehicle_port, companion_port) = PORTS[COMPANION_LINK]
@@ -94,7 +107,7 @@ class Wire:
         self._vehicle = self._start(command, given)
         self._write_config()
         self.daemon = self.start_daemon()
-        port = str(PORTS[STATION_LINK][1] + instance)
+        port = str(station_port(build, instance))
         with (folder / "observer.jsonl").open("wb") as out:
             script = str(Path(__file__).with_name("observer.py"))
             self._observer = subprocess.Popen(
@@ -107,7 +120,7 @@ class Wire:
         log = (self._folder / f"log-{len(self._processes)}.txt").open("wb")
         with log:
             process = subprocess.Popen(
-                command, env=environment, stderr=log, stdout=subprocess.DEVNULL, cwd=ROOT
+                command, env=environment, stdin=subprocess.DEVNULL, stderr=log, stdout=log, cwd=ROOT
             )
         self._processes.append(process)
         return process
