@@ -33,7 +33,7 @@ USE_ALL = 0
 ANCHOR_S = 0.5
 """So long a new link waits for the vehicle's own estimate before it streams poses."""
 ANCHOR_M, ANCHOR_RAD = 0.3, 0.2
-ALSO_HEARD = ("TIMESYNC", "COMMAND_ACK", "PARAM_VALUE", "FILE_TRANSFER_PROTOCOL", "COMPONENT_METADATA")
+ALSO_HEARD = ("COMMAND_ACK", "PARAM_VALUE", "FILE_TRANSFER_PROTOCOL", "COMPONENT_METADATA")
 Log = Callable[[float, bytes], None]
 
 
@@ -71,15 +71,19 @@ class VehicleLink:
         self.offboard = Offboard()
         self._commander = Commander(*self._target)
         self.files = EventFiles(self.texts, self._target)
-        self._check = ParameterCheck(self.settings.parameters, *self._target)
+        self._begin()
         self._log = log
         self._out: list[bytes] = []
         self._notices: list[Notice] = []
         self._now_s = 0.0
         self._begun_s = math.inf
         self._heartbeat_s = self._setpoint_s = -math.inf
+
+    def _begin(self) -> None:
+        """A vehicle that has just started, perhaps with other parameters, perhaps another one."""
+        self._boots = self.state.boots
+        self._check = ParameterCheck(self.settings.parameters, *self._target)
         self._wishes = Wishes(self._target)
-        self.synced = 0
 
     @property
     def state(self) -> VehicleState:
@@ -139,6 +143,8 @@ class VehicleLink:
             if (frame[5], frame[6]) == self._target:
                 self._write(frame)
                 self._take(now_s, packet)
+        if self.state.boots != self._boots:
+            self._begin()
         self._beat(now_s)
         for packet in self._wishes.step(now_s, self.state):
             self._send(packet)
@@ -156,7 +162,8 @@ class VehicleLink:
         if self._check.done and self.state.on_ground and not self.files.done:
             ask, request = self.files.step(now_s)
             if ask:
-                self._command(commands.REQUEST, float(message["COMPONENT_METADATA"].id))
+                number = float(message["COMPONENT_METADATA"].id)
+                self._send(commands.command_long(self._target, commands.REQUEST, (number,)))
             if request is not None:
                 self._send(request)
 
@@ -170,7 +177,6 @@ class VehicleLink:
         match packet.get_type():
             case "TIMESYNC" if packet.tc1 == 0:
                 self._send(message["TIMESYNC"](round(now_s * 1e9), packet.ts1))
-                self.synced += 1
             case "COMMAND_ACK":
                 self._commander.acknowledge(now_s, packet)
             case "PARAM_VALUE":
@@ -283,9 +289,6 @@ class VehicleLink:
     def busy(self, name: str) -> bool:
         """Whether a command of this name ("arm", "land", ...) is not decided yet."""
         return self._commander.pending(name)
-
-    def _command(self, number: int, *parameters: float) -> None:
-        self._send(commands.command_long(self._target, number, parameters))
 
     def _send(self, packet: Any) -> None:
         frame = self._channel.pack(packet)

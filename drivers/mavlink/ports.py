@@ -29,7 +29,7 @@ class Port(Protocol):
 
 
 class UdpPort:
-    """Bound to a local port; answers go to whoever spoke last, or to `remote` from the beginning.
+    """Bound to a local port; answers go to whoever spoke last. With a `remote` only its host is heard.
 
     Raises InputError when the port is taken.
     """
@@ -38,6 +38,7 @@ class UdpPort:
         self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._socket.setblocking(False)
         self._remote = remote
+        self._host = None if remote is None else remote[0]
         try:
             self._socket.bind((address, port))
         except OSError as error:
@@ -55,7 +56,10 @@ class UdpPort:
                     data, sender = self._socket.recvfrom(READ_BYTES)
                 except ConnectionRefusedError:
                     continue
-                self._remote = sender
+                if self._host is None:
+                    self._remote = sender
+                elif sender[0] != self._host:
+                    continue
                 parts.append(data)
         return b"".join(parts)
 

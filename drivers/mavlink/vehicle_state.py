@@ -20,6 +20,8 @@ REASONS_S = 2.5
 PREDICTED, HEIGHT = 256, 32
 """Bits of ESTIMATOR_STATUS.flags that drop when external vision is lost."""
 ARMED_FLAG = 128
+BEHIND_NS = 1_000_000_000
+"""Datagrams may overtake each other; a clock that is farther back has begun anew."""
 ARMED = event_number("commander_armed_by")
 DISARMED = event_number("commander_disarmed_by")
 SUMMARIES = {event_number("commander_arming_check_summary"), event_number("commander_health_summary")}
@@ -48,6 +50,8 @@ class VehicleState:
     reset_counter: int = 0
     target: Vector | None = None
     """Where it is flying to, by its own account."""
+    boots: int = 0
+    """How often its clock has begun anew."""
     events: deque[tuple[float, int, str]] = field(default_factory=lambda: deque(maxlen=EVENTS_KEPT))
 
     def alive(self, now_s: float) -> bool:
@@ -87,6 +91,7 @@ class StateFolder:
         self._texts = texts
         self._last_sequence: int | None = None
         self.events_lost = 0
+        self._clock_ns = 0
         self._handlers: dict[str, Callable[[float, Any], None]] = {
             "HEARTBEAT": self._heartbeat,
             "CURRENT_MODE": self._current_mode,
@@ -95,6 +100,7 @@ class StateFolder:
             "BATTERY_STATUS": self._battery,
             "ESTIMATOR_STATUS": self._estimator,
             "ODOMETRY": self._odometry,
+            "TIMESYNC": self._timesync,
             "POSITION_TARGET_LOCAL_NED": self._target,
             "EVENT": self._event,
             "STATUSTEXT": self._status_text,
@@ -148,6 +154,12 @@ class StateFolder:
     def _target(self, now_s: float, packet: Any) -> None:
         place = (packet.x, packet.y, packet.z)
         self.state.target = swap(place) if all(map(math.isfinite, place)) else None
+
+    def _timesync(self, now_s: float, packet: Any) -> None:
+        """Its questions carry its clock, which counts from its start."""
+        if packet.tc1 == 0:
+            self.state.boots += packet.ts1 < self._clock_ns - BEHIND_NS
+            self._clock_ns = packet.ts1
 
     def _event(self, now_s: float, packet: Any) -> None:
         if packet.sequence == self._last_sequence:

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import itertools
+import os
+import pty
 from typing import Any
 
 import pytest
@@ -12,7 +15,8 @@ from drivers.mavlink.commands import Commander
 from drivers.mavlink.dialect import message
 from drivers.mavlink.events import EventTexts, event_number
 from drivers.mavlink.ftp import CHUNK_BYTES, EventFiles, FileReader, Frame, Progress
-from drivers.mavlink.link import VehicleLink
+from drivers.mavlink.link import LinkSettings, VehicleLink
+from drivers.mavlink.parameter_check import Expected
 from drivers.mavlink.ports import UdpPort, open_port
 from drivers.mavlink.vehicle_state import VehicleState
 from onboard.core.errors import InputError, WireError
@@ -147,6 +151,45 @@ def test_the_link_quiets_what_it_does_not_need() -> None:
     assert sent / 4.0 < 2000.0
 
 
+def test_vehicle_that_starts_anew_is_checked_anew() -> None:
+    link = VehicleLink(LinkSettings(parameters=(Expected("COM_OBL_RC_ACT", 4, 6),)))
+    first, second, data = Px4Vehicle({"COM_OBL_RC_ACT": 4}), Px4Vehicle({"COM_OBL_RC_ACT": 0}), b""
+    for tick in range(1, 1000):
+        vehicle, age_s = (first, tick / 100) if tick < 500 else (second, (tick - 500) / 100)
+        data = vehicle.step(age_s, link.step(tick / 100, data))
+        if tick == 499:
+            assert link.problems == ()
+    assert link.state.boots == 1
+    assert link.problems == ("COM_OBL_RC_ACT is 0, expected 4",)
+    before = link.counts.received
+    for tick in range(1000, 1200):
+        data = second.step((tick - 500) / 100, link.step(tick / 100, data))
+    assert (link.counts.received - before) / 2.0 < 130.0, "and is told again what is not needed"
+
+
+def test_setpoints_go_with_a_reset_of_the_vehicles_estimator_and_come_back_slowly() -> None:
+    link, vehicle, sent = VehicleLink(), Channel(1, 1), []
+    spread, place = [0.0] * 21, 3.0
+
+    def heard(now_s: float, north: float, counter: int) -> None:
+        tail = (spread, spread, counter, 8, 0)
+        q = (1.0, 0.0, 0.0, 0.0)
+        odometry = message["ODOMETRY"](0, 1, 12, north, 0.0, -2.0, q, 0, 0, 0, 0, 0, 0, *tail)
+        link.receive(now_s, vehicle.pack(odometry))
+        link.send_setpoint((0.0, place, 2.0), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 0.0, 0.0)
+        sent.extend(p.x for p in Channel(1, 1).receive(link.flush()) if p.get_msgId() == 84)
+
+    link.engage()
+    for tick in range(40):
+        heard(1.0 + tick * 0.05, place, 5)
+    assert sent[-1] == pytest.approx(place)
+    for tick in range(20):
+        heard(3.0 + tick * 0.05, place + 1.0, 6)
+    steps = [b - a for a, b in itertools.pairwise(sent)]
+    assert max(steps) == pytest.approx(1.0, abs=0.05), "at once as far as the estimate"
+    assert min(steps) == pytest.approx(-0.3 * 0.05, abs=1e-3), "then back at 0.3 m/s"
+
+
 def test_frames_of_others_on_the_wire_do_not_count() -> None:
     link = VehicleLink()
     stranger = Channel(9, 1)
@@ -183,3 +226,39 @@ def test_udp_port_answers_who_spoke() -> None:
         UdpPort(port)
     one.close()
     other.close()
+
+
+def test_udp_port_with_a_vehicle_is_not_turned_away_by_others() -> None:
+    vehicle, stranger = UdpPort(0), UdpPort(0)
+    ports = [p._socket.getsockname()[1] for p in (vehicle, stranger)]
+    ours = UdpPort(0, remote=("127.0.0.1", ports[0]))
+    stranger._remote = ours._socket.getsockname()
+    stranger.send(b"follow me")
+    ours.wait(1.0)
+    ours.receive()
+    ours.send(b"for the vehicle")
+    vehicle.wait(1.0)
+    assert vehicle.receive() == b"for the vehicle"
+    assert stranger.receive() == b""
+    elsewhere = UdpPort(0, remote=("127.0.0.9", ports[0]))
+    stranger._remote = elsewhere._socket.getsockname()
+    stranger.send(b"from another host")
+    elsewhere.wait(1.0)
+    assert elsewhere.receive() == b""
+    for port in (vehicle, stranger, ours, elsewhere):
+        port.close()
+
+
+def test_serial_line_carries_a_link() -> None:
+    master, slave = pty.openpty()
+    port, link = open_port(f"serial:{os.ttyname(slave)}:921600"), VehicleLink()
+    port.send(link.step(0.0))
+    beat = Channel(1, 1).receive(os.read(master, 4096))[0]
+    assert (beat.type, beat.autopilot) == (18, 8), "an onboard computer"
+    os.write(master, Channel(1, 1).pack(message["HEARTBEAT"](2, 12, 145, modes.OFFBOARD, 4, 3)))
+    port.wait(1.0)
+    link.step(0.1, port.receive())
+    assert link.state.mode == modes.OFFBOARD
+    port.close()
+    os.close(master)
+    os.close(slave)
