@@ -16,6 +16,9 @@ from drivers.mavlink.vehicle_state import VehicleState
 PRIME_S = 0.6
 """A PX4 wants setpoints before it changes into OFFBOARD."""
 ENGAGE_S = 4.0
+UNHEARD_S = 0.8
+"""Before a PX4 that hears nothing either gives up (COM_OF_LOSS_T 1.0 s): setpoints that reach it later, when
+the wire is whole again, would call it back out of its failsafe."""
 ENGAGE = "offboard"
 
 
@@ -70,6 +73,9 @@ class Offboard:
 
     def step(self, now_s: float, state: VehicleState, commander: Commander) -> Notice | None:
         """Follow the vehicle's mode."""
+        if self.open and now_s - state.heard_s > UNHEARD_S:
+            self.release(commander)
+            return Notice(now_s, "link lost", False, f"nothing heard for {UNHEARD_S:g} s; setpoints stopped")
         if self.stream is Stream.PRIMING:
             return self._prime(now_s, state, commander)
         if self.stream is Stream.ENGAGED and state.mode != modes.OFFBOARD:

@@ -50,14 +50,15 @@ class Shaper:
             previous=self._previous,
         )
         wanted = self._limited(now_s, aim, place)
-        if aim.clearance_m is None:
+        holds = aim.clearance_m is None
+        if holds:
             wanted = _still(wanted, wanted.position)
         else:
             verdict = self._allow(wanted, facts, self._limits)
             if not verdict.ok:
                 self.refused, self.reason = self.refused + 1, verdict.reason
-                wanted = self._held(wanted, place)
-        if not any(wanted.velocity) and not self._allow_hold(wanted, facts, self._limits).ok:
+                wanted, holds = self._held(wanted, place), True
+        if holds and not self._allow_hold(wanted, facts, self._limits).ok:
             return None
         self._previous = wanted
         return wanted
@@ -72,7 +73,7 @@ class Shaper:
             position = towards(before.position, position, limits.speed_m_s * step_s)
             velocity = towards(before.velocity, velocity, limits.acceleration_m_s2 * step_s)
             yaw = turn_towards(before.yaw, yaw, limits.yaw_rate_rad_s * step_s)
-        push = shortened(aim.acceleration, WITHIN * limits.acceleration_m_s2)
+        push = self._inward(position, shortened(aim.acceleration, WITHIN * limits.acceleration_m_s2))
         return Setpoint(now_s, MAP, position, velocity, push, yaw, 0.0)
 
     @property

@@ -159,6 +159,21 @@ def test_path_of_any_numbers_moves_nothing_out_of_limits(
             before = out.setpoint
 
 
+def test_velocity_towards_the_fence_comes_to_rest_and_the_stream_does_not_end() -> None:
+    run = Run().flying()
+    run.guidance = Guidance(run.now_s, Drive((1.0, 0.0, 0.5), 0.0, 3.0))
+    for _ in range(round(20.0 / DT_S)):
+        out = run.step()
+        assert out.setpoint is not None
+        assert out.setpoint.position[0] <= 8.0
+        assert out.setpoint.position[2] <= 4.0
+    assert out.setpoint is not None
+    assert 7.0 < out.setpoint.position[0] <= 8.0
+    assert out.setpoint.position[2] == 4.0
+    assert math.hypot(*out.setpoint.velocity) < 0.01
+    assert out.setpoint.acceleration[2] == 0.0, "nothing pushes on through it"
+
+
 def test_gate_that_says_no_leaves_only_holding() -> None:
     run = Run()
     run.core = AutopilotCore(FLIGHT, lambda *_: Verdict(False, "because"), allow_hold)

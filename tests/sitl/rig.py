@@ -54,6 +54,10 @@ class Rig:
         self.notes: list[tuple[float, str]] = []
         self.guidance: Callable[[float], Guidance | None] = hold
         self.seeing = True
+        self.cut = False
+        """Nothing comes through between pilot and vehicle, either way."""
+        self.modes: list[tuple[float, int]] = []
+        """What a listener on the wire has heard of the mode while our process was dead."""
         self.jump: Vector = (0.0, 0.0, 0.0)
         self.sent: list[float] = []
         self.wander_m = 0.0
@@ -62,7 +66,7 @@ class Rig:
         self._late: list[tuple[float, Pose]] = []
         self._data = b""
         self._tick = 0
-        self._truth_channel = Channel(255, 190)
+        self._truth_channel, self._listener = Channel(255, 190), Channel(255, 191)
         self.signer = Signer(KEY, stamp_of(time.time()))
         self.start_pilot()
 
@@ -95,10 +99,10 @@ class Rig:
         while self.now_s < end_s - 1e-6:
             self._feed()
             streaming = self.link.streaming
-            out = self.pilot.step(self.now_s, self._data)
+            out = self.pilot.step(self.now_s, b"" if self.cut else self._data)
             if streaming and self.pilot.outputs.setpoint is not None:
                 self.sent.append(self.now_s)
-            self._data = self.vehicle.exchange(out)
+            self._data = self.vehicle.exchange(b"" if self.cut else out)
             self._hear_truth()
             self._remember()
             if each is not None:
@@ -108,7 +112,9 @@ class Rig:
         """Let time pass while our process does not exist."""
         end_s = self.now_s + seconds
         while self.now_s < end_s - 1e-6:
-            self.vehicle.exchange(b"")
+            for packet in self._listener.receive(self.vehicle.exchange(b"")):
+                if packet.get_type() == "CURRENT_MODE":
+                    self.modes.append((self.now_s, packet.custom_mode))
             self._hear_truth()
             self._remember()
             if each is not None:

@@ -8,10 +8,11 @@ from collections.abc import Callable
 
 import pytest
 from rig import Rig, hold
-from vehicles import CARRIER_M
+from vehicles import CARRIER_M, KEY
 
 from drivers.mavlink import commands, modes
 from drivers.mavlink.channel import Channel
+from drivers.mavlink.dialect import message
 from drivers.mavlink.signing import Signer
 from onboard.autopilot.inputs import Drive, Guidance, Path, Phase, Wish
 from onboard.autopilot.settings import FlightSettings
@@ -47,8 +48,8 @@ def test_five_seconds_without_pose_end_in_a_landing(build_rig: Callable[..., Rig
     rig.run(1.6)
     assert rig.said("pose silent") or rig.said("went to AUTO.LAND"), "whoever is first: both wait for 1 s"
     assert not rig.link.streaming
-    rig.run(3.4)
-    assert rig.link.state.mode == modes.LAND
+    assert rig.run_until(lambda: rig.link.state.mode == modes.LAND, 1.0)
+    rig.run(2.4)
     rig.seeing = True
     sent = len(rig.sent)
     assert rig.landed(20.0)
@@ -149,7 +150,9 @@ def test_kill_after_a_jump_of_the_map_moves_nothing(build_rig: Callable[..., Rig
 def test_companion_that_stays_dead_ends_in_a_landing(build_rig: Callable[..., Rig]) -> None:
     rig = build_rig()
     rig.take_off()
+    dead_s = rig.now_s
     rig.run_dead(20.0)
+    assert 0.5 < next(t for t, mode in rig.modes if mode == modes.LAND) - dead_s < 1.6
     assert rig.truth.position[2] < CARRIER_M + 0.15
     rig.start_pilot()
     rig.run(3.0)
@@ -172,10 +175,50 @@ def test_companion_that_comes_back_late_does_not_take_over(build_rig: Callable[.
     assert rig.moved(4.0) < rig.allowed(0.5)
 
 
+@pytest.mark.parametrize("seconds", [0.5, 2.0, 3.5])
+def test_link_that_is_cut_for_a_while(build_rig: Callable[..., Rig], seconds: float) -> None:
+    """Half a second is survived; after a failsafe the stream has ended before the wire is back."""
+    rig = build_rig()
+    rig.take_off(4.0)
+    rig.cut = True
+    cut_s = rig.now_s
+    rig.run(seconds)
+    rig.cut = False
+    if seconds < 1.0:
+        assert rig.moved(4.0) <= rig.allowed(0.4)
+        assert rig.pilot.outputs.phase is Phase.FLYING
+        return
+    assert not rig.link.streaming
+    assert 0.7 < rig.sent[-1] - cut_s < 1.0
+    sent = len(rig.sent)
+    rig.run(1.0)
+    assert rig.link.state.mode == modes.LAND
+    assert rig.landed(20.0)
+    assert len(rig.sent) == sent
+
+
+def test_frames_without_the_key_move_nothing(build_rig: Callable[..., Rig]) -> None:
+    """Neither the vehicle nor we listen to them, and we count them."""
+    rig = build_rig()
+    rig.take_off()
+    land = commands.command_long((rig.system, 1), commands.LAND, ())
+    for signer in (None, Signer(bytes(32), rig.signer.timestamp + 10), Signer(KEY, 1, link_id=9)):
+        rig.vehicle.command(Channel(255, 190, signer).pack(land))
+        before = rig.link.counts.refused
+        forged = Channel(rig.system, 1, signer).pack(message["CURRENT_MODE"](0, modes.LAND, modes.LAND))
+        rig.pilot.step(rig.now_s, forged)
+        assert rig.link.counts.refused == before + 1
+    rig.run(2.0)
+    assert rig.link.state.mode == modes.OFFBOARD
+    assert rig.pilot.outputs.phase is Phase.FLYING
+
+
 def test_low_battery_lands_and_stays_down(build_rig: Callable[..., Rig]) -> None:
     rig = build_rig(SIM_BAT_DRAIN=40.0, SIM_BAT_MIN_PCT=0.0)
     rig.take_off()
     assert rig.run_until(lambda: rig.link.state.mode == modes.LAND, 45.0)
+    assert rig.link.state.charge is not None
+    assert 0.02 < rig.link.state.charge < 0.11, "at 7 %, told once a second"
     rig.run(0.3)
     assert not rig.link.streaming
     assert rig.said("went to AUTO.LAND")
@@ -192,6 +235,19 @@ def test_fence_is_not_crossed(build_rig: Callable[..., Rig]) -> None:
     far = [0.0]
     rig.run(12.0, lambda: far.append(rig.truth.position[0]))
     assert 2.0 < max(far) < 3.5
+    x, y, z = rig.pilot.core.reference.position
+    up = Path(2, ((x, y, z), (x, y, z + 4.0)), (3.0, 3.0))
+    rig.guidance = lambda now_s: Guidance(now_s, up)
+    high = [0.0]
+    rig.run(8.0, lambda: high.append(rig.truth.position[2]))
+    assert 2.2 < max(high) < 2.8
+    rig.guidance = lambda now_s: Guidance(now_s, Drive((1.0, 0.0, 0.5), 0.0, 3.0))
+    rig.run(
+        8.0,
+        lambda: far.append(rig.truth.position[0]),
+    )
+    assert max(far) < 3.5, "a velocity ends at the fence, too"
+    assert rig.truth.position[2] < 2.8
     assert rig.pilot.outputs.phase is Phase.FLYING
 
 
@@ -210,9 +266,11 @@ def test_somebody_else_changes_the_mode(build_rig: Callable[..., Rig]) -> None:
     rig = build_rig()
     rig.take_off()
     tablet = Channel(255, 190, Signer(bytes(range(32)), rig.signer.timestamp + 10, link_id=7))
+    told_s = rig.now_s
     rig.vehicle.command(tablet.pack(commands.command_long((rig.system, 1), commands.LAND, ())))
     rig.run(0.5)
     assert not rig.link.streaming
+    assert rig.sent[-1] - told_s < 0.3
     assert rig.pilot.outputs.phase is Phase.LOST
     sent = len(rig.sent)
     assert rig.landed(20.0)

@@ -64,7 +64,9 @@ class BuiltIn:
 
     def __init__(self, parameters: dict[str, float], seed: int) -> None:
         links = (COMPANION_LINK, STATION_LINK, TRUTH_LINK)
-        self.vehicle = Px4Vehicle(parameters, seed=seed, key=KEY, links=links)
+        self.vehicle = Px4Vehicle(
+            parameters, seed=seed, key=KEY, key_timestamp=stamp_of(time.time()), links=links
+        )
         self.now_s = 0.0
         self._truth: list[bytes] = []
 
