@@ -18,6 +18,21 @@ STEP_S = 0.02
 _channels = count()
 
 
+class BrokenBus(can.BusABC):
+    """A bus that is off."""
+
+    channel_info = "broken"
+
+    def __init__(self) -> None:
+        self._is_shutdown = True
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise can.CanOperationError("bus off")
+
+    def recv(self, timeout: float | None = None) -> can.Message | None:
+        raise can.CanOperationError("bus off")
+
+
 class Bench:
     """`host` and `node` speak over the bus only; `tap` is a bus of its own on the same channel."""
 

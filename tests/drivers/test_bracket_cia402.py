@@ -212,7 +212,7 @@ def test_a_drive_that_drops_out_while_opening_is_a_fault(bench):
     releasing(bench)
     bench.drive.faults.latch.slowness = 100.0
     bench.drive.state = Drive.SWITCHED_ON
-    bench.until_state(State.FAULT, permitted=True)
+    assert bench.until_state(State.FAULT, permitted=True) <= 2 * STEP_S + 1e-9
     assert bench.tick().reason == "drive dropped out while opening"
     bench.tick()
     assert bench.drive.state == Drive.DISABLED

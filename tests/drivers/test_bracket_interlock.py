@@ -56,8 +56,10 @@ def test_a_condition_that_ends_between_the_steps_ends_the_release(bench):
             continue
         assert verdict(bench, {})
         bench.until_sent("BracketArm", len(bench.sent("BracketArm")) + 1)
-        gated(bench, 0.3, change)
+        gated(bench, 0.1, change)
         assert bench.node.state == State.LOCKED, change
+        assert not bench.node.energised
+        gated(bench, 0.2, change)
     assert bench.node.latch.position == 0.0
     assert bench.sent("BracketLock") != []
     assert bench.sent("BracketFire") == []

@@ -9,7 +9,7 @@ import time
 
 import can
 import pytest
-from bracket_bench import WIRE
+from bracket_bench import WIRE, BrokenBus
 
 from drivers.bracket import Bracket
 from drivers.bracket_types import State
@@ -20,21 +20,6 @@ from simulation.bracket import BracketNode
 
 GROUP = f"239.74.{os.getpid() % 250}.{os.getpid() // 250 % 250}"
 """One for each run of the tests on a machine."""
-
-
-class BrokenBus(can.BusABC):
-    """A bus that is off."""
-
-    channel_info = "broken"
-
-    def __init__(self) -> None:
-        self._is_shutdown = True
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        raise can.CanOperationError("bus off")
-
-    def recv(self, timeout: float | None = None) -> can.Message | None:
-        raise can.CanOperationError("bus off")
 
 
 def test_classic_frames_pass_and_everything_else_is_dropped():
