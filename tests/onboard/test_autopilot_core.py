@@ -327,12 +327,26 @@ def test_take_off_is_given_up_on_the_carrier(
     assert any(words in note for note in notes)
 
 
-def test_drift_in_the_climb_ends_it_in_a_landing() -> None:
+@pytest.mark.parametrize(
+    ("changes", "seconds", "words"),
+    [
+        ({"position": (0.9, 0.0, 1.5)}, DT_S, "drift"),
+        ({"position": (0.0, 0.0, 1.5), "tilt": 0.5}, DT_S, "tilt"),
+        ({"position": (0.0, 0.0, 1.3)}, 17.0, "the climb takes too long"),
+    ],
+)
+def test_trouble_in_the_climb_ends_it_in_a_landing(
+    changes: dict[str, object], seconds: float, words: str
+) -> None:
     run = climbing()
+    run.facts = replace(run.facts, on_ground=False, in_air=True)
     stay(run, 0.5, position=(0.0, 0.0, 1.3))
-    out = stay(run, DT_S, position=(0.9, 0.0, 1.5))
+    begun_s = run.now_s
+    while (out := stay(run, DT_S, **changes)).phase is Phase.CLIMBING:
+        assert run.now_s - begun_s < seconds
     assert out.phase is Phase.LANDING
     assert Action.LAND in out.actions
+    assert any(words in note for note in out.notes)
 
 
 def test_map_that_moves_means_hold_until_a_new_path() -> None:
