@@ -37,6 +37,7 @@ class Offboard:
         self.stream = Stream.OFF
         self._since_s = -math.inf
         self._first_s: float | None = None
+        self._sent_s = -math.inf
         self._leaving = False
 
     @property
@@ -54,7 +55,7 @@ class Offboard:
         """After a restart of ours: go on streaming if the vehicle still is in OFFBOARD, in the air."""
         fit = state.mode == modes.OFFBOARD and state.in_air and state.armed is not False
         if fit and self.stream is Stream.OFF:
-            self.stream, self._leaving = Stream.ENGAGED, False
+            self.stream, self._leaving, self._sent_s = Stream.ENGAGED, False, now_s
         return fit
 
     def release(self, commander: Commander) -> None:
@@ -68,6 +69,7 @@ class Offboard:
 
     def sent(self, now_s: float) -> None:
         """A setpoint went out."""
+        self._sent_s = now_s
         if self._first_s is None:
             self._first_s = now_s
 
@@ -78,6 +80,9 @@ class Offboard:
             return Notice(now_s, "link lost", False, f"nothing heard for {UNHEARD_S:g} s; setpoints stopped")
         if self.stream is Stream.PRIMING:
             return self._prime(now_s, state, commander)
+        if self.stream is Stream.ENGAGED and now_s - self._sent_s > UNHEARD_S:
+            self.release(commander)
+            return Notice(now_s, "stalled", False, f"nothing sent for {UNHEARD_S:g} s; setpoints stopped")
         if self.stream is Stream.ENGAGED and state.mode != modes.OFFBOARD:
             self.release(commander)
             if self._leaving:

@@ -20,7 +20,7 @@ EPOCH_UNIX_S = 1_420_070_400
 """1 January 2015, UTC."""
 NEW_STREAM_BEHIND = 60 * UNITS_PER_S
 """A sender that was not heard before may be this much behind the newest stamp."""
-RESERVED_S = 20.0
+RESERVED_S = 5.0
 """The stored stamp runs ahead of the used one by up to this: after a kill no stamp is used twice."""
 
 

@@ -16,6 +16,7 @@ from drivers.mavlink.dialect import message
 from drivers.mavlink.events import EventTexts, event_number
 from drivers.mavlink.ftp import CHUNK_BYTES, EventFiles, FileReader, Frame, Progress
 from drivers.mavlink.link import LinkSettings, VehicleLink
+from drivers.mavlink.offboard import Offboard
 from drivers.mavlink.parameter_check import Expected
 from drivers.mavlink.ports import UdpPort, open_port
 from drivers.mavlink.vehicle_state import VehicleState
@@ -188,6 +189,27 @@ def test_setpoints_go_with_a_reset_of_the_vehicles_estimator_and_come_back_slowl
     steps = [b - a for a, b in itertools.pairwise(sent)]
     assert max(steps) == pytest.approx(1.0, abs=0.05), "at once as far as the estimate"
     assert min(steps) == pytest.approx(-0.3 * 0.05, abs=1e-3), "then back at 0.3 m/s"
+
+
+@pytest.mark.parametrize(("heard", "sent"), [(True, True), (True, False), (False, True)])
+def test_stream_goes_on_only_while_both_ends_are_heard(heard: bool, sent: bool) -> None:
+    """After 0.8 s without, for good: a vehicle in its failsafe must not be called back."""
+    offboard, commander = Offboard(), Commander(1, 1)
+    state = VehicleState(heard_s=0.0, mode=modes.OFFBOARD, landed_state=modes.IN_AIR, armed=True)
+    assert offboard.adopt(0.0, state)
+    ended_s, words = None, ""
+    for tick in range(1, 200):
+        now_s = tick / 100
+        state.heard_s = now_s if heard else 0.0
+        if sent or now_s > 1.0:
+            offboard.sent(now_s)
+        notice = offboard.step(now_s, state, commander)
+        if notice is not None:
+            ended_s, words = now_s, notice.text
+    assert offboard.open is (heard and sent)
+    if not offboard.open:
+        assert ended_s == pytest.approx(0.81, abs=0.015)
+        assert ("heard" if sent else "sent") in words
 
 
 def test_frames_of_others_on_the_wire_do_not_count() -> None:

@@ -197,6 +197,18 @@ def test_link_that_is_cut_for_a_while(build_rig: Callable[..., Rig], seconds: fl
     assert len(rig.sent) == sent
 
 
+def test_process_that_stood_still_does_not_take_over_again(build_rig: Callable[..., Rig]) -> None:
+    """Stopped for longer than the vehicle waits; what it said meanwhile is lost, all senders are fresh."""
+    rig = build_rig()
+    rig.take_off(4.0)
+    rig.run_dead(1.5)
+    sent = len(rig.sent)
+    rig.run(1.0)
+    assert len(rig.sent) == sent
+    assert not rig.link.streaming
+    assert rig.link.state.mode == modes.LAND
+
+
 def test_frames_without_the_key_move_nothing(build_rig: Callable[..., Rig]) -> None:
     """Neither the vehicle nor we listen to them, and we count them."""
     rig = build_rig()
