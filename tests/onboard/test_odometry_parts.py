@@ -29,6 +29,7 @@ from onboard.localization.prediction import Belief, RelativeMotion, guess, infor
 from onboard.localization.scale import WayScale
 from onboard.localization.settings import MotionSettings
 from onboard.localization.thinning import Sweep, Thinner
+from onboard.localization.tracker import Tracker
 
 seeds = st.integers(0, 2**31 - 1)
 MOTION = MotionSettings()
@@ -103,6 +104,20 @@ def test_after_a_long_gap_the_body_is_taken_to_stand() -> None:
     assert close(far.pose, Pose.identity())
     np.testing.assert_array_equal(far.covariance, farther.covariance)
     assert close(guess(belief, 0.5, MOTION).pose, Pose.identity())
+
+
+@given(seeds, st.integers(1, 20))
+def test_told_motions_add_up_whatever_their_rate(seed: int, count: int) -> None:
+    rng = np.random.default_rng(seed)
+    tracker = Tracker()
+    tracker.moved(RelativeMotion(pose_of(rng), np.eye(6)))  # before the first scan: counts for nothing
+    tracker.scanned(0.0, rng.uniform(-5.0, 5.0, (50, 3)).astype(np.float32))
+    motions = [pose_of(rng, 0.1) for _ in range(count)]
+    whole = Pose.identity()
+    for motion in motions:
+        tracker.moved(RelativeMotion(motion, 1e-6 * np.eye(6)))
+        whole = whole.compose(motion)
+    assert close(tracker.pose, whole, 1e-7)
 
 
 @settings(max_examples=25)
