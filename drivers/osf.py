@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +12,7 @@ from drivers.clock_map import ClockMap
 from drivers.ouster_packets import NANOSECOND_S, VALID_COLUMN
 from drivers.ouster_view import OusterView
 from drivers.packet_recordings import ouster_name
-from drivers.types import LidarScan, Recording, whole_scans
+from drivers.types import LidarScan, Recording, in_host_time, whole_scans
 from onboard.core.errors import InputError
 
 
@@ -52,6 +51,4 @@ def _scan(frame: Any, view: OusterView, clock: ClockMap) -> LidarScan:
     for device_s, host_s in zip(last_s, arrivals_s, strict=True):
         if device_s > 0 and host_s > 0:
             clock.add(float(device_s), float(host_s))
-    stamp_s = clock.host_s(scan.stamp_s)
-    image = None if scan.image is None else replace(scan.image, stamp_s=stamp_s)
-    return replace(scan, stamp_s=stamp_s, image=image)
+    return in_host_time(scan, clock)

@@ -8,7 +8,7 @@ does not tell what is lost. The SDK's class for live sensors is private.
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from drivers.clock_map import ClockMap
 from drivers.ouster_packets import OusterPackets
 from drivers.ouster_view import OusterView
 from drivers.reports import Reporter
-from drivers.types import Counters, LidarScan, Output, masked
+from drivers.types import Counters, Output, handed_over
 from onboard.core.imu import ImuSample
 from onboard.core.lidar import OS0_64, LidarModel
 from onboard.core.view_mask import ViewMask
@@ -181,14 +181,7 @@ class OusterDecoder:
         self.counters.lost += skipped * self._expected + max(0, self._expected - frame.packets)
         self._done.append(frame.number)
         scan = self._view.scan(frame.ranges_mm, frame.column_s, frame.seen, tuple(sorted(frame.faults)))
-        self.counters.scans += 1
-        self.counters.half_scans += not scan.complete
-        return [masked(self._on_host(scan), self._mask)]
-
-    def _on_host(self, scan: LidarScan) -> LidarScan:
-        stamp_s = self.clock.host_s(scan.stamp_s)
-        image = None if scan.image is None else replace(scan.image, stamp_s=stamp_s)
-        return replace(scan, stamp_s=stamp_s, image=image)
+        return [handed_over(scan, self.clock, self.counters, self._mask)]
 
     def finish(self) -> list[Output]:
         """The frame collected so far."""

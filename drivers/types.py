@@ -9,6 +9,7 @@ from typing import Literal, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drivers.clock_map import ClockMap
 from onboard.core.imu import ImuSample
 from onboard.core.lidar import Scan
 from onboard.core.view_mask import ViewMask
@@ -128,6 +129,20 @@ def masked(scan: LidarScan, mask: ViewMask) -> LidarScan:
         image = replace(image, ranges=np.where(hidden, np.float32(0), image.ranges))
     offsets = None if scan.offsets_s is None else scan.offsets_s[keep]
     return replace(scan, points=scan.points[keep], offsets_s=offsets, image=image)
+
+
+def in_host_time(scan: LidarScan, clock: ClockMap) -> LidarScan:
+    """The scan, whose stamp is one of the sensor's clock, with that of the host's."""
+    stamp_s = clock.host_s(scan.stamp_s)
+    image = None if scan.image is None else replace(scan.image, stamp_s=stamp_s)
+    return replace(scan, stamp_s=stamp_s, image=image)
+
+
+def handed_over(scan: LidarScan, clock: ClockMap, counters: Counters, mask: ViewMask) -> LidarScan:
+    """What becomes of a decoder's finished scan: it is counted, put into host time and masked."""
+    counters.scans += 1
+    counters.half_scans += not scan.complete
+    return masked(in_host_time(scan, clock), mask)
 
 
 def whole_scans(scans: Iterable[LidarScan]) -> Iterator[LidarScan]:

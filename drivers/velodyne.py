@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from drivers.clock_map import ClockMap
 from drivers.reports import Reporter
-from drivers.types import Counters, LidarScan, Output, masked
+from drivers.types import Counters, Output, handed_over
 from drivers.velodyne_packets import (
     BLOCKS,
     HOUR_S,
@@ -190,11 +190,5 @@ class VelodyneDecoder:
         beams = beams_of(self._product, self._dual, self._calibration)
         scan = sweep_scan(self._parts, beams, self._cut_deg, self._model)
         self._parts = []
-        self.counters.scans += 1
-        self.counters.half_scans += not scan.complete
-        return [masked(self._on_host(scan), self._mask)]
-
-    def _on_host(self, scan: LidarScan) -> LidarScan:
-        stamp_s = self.clock.host_s(scan.stamp_s)
-        image = None if scan.image is None else replace(scan.image, stamp_s=stamp_s)
-        return replace(scan, stamp_s=stamp_s, image=image, faults=scan.faults + self._faults)
+        scan = replace(scan, faults=scan.faults + self._faults)
+        return [handed_over(scan, self.clock, self.counters, self._mask)]

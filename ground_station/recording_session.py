@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from drivers.types import LidarScan, Recording
 from ground_station.range_image import likely_model_name, to_range_image
 from onboard.codec import decode, encode
-from onboard.core.geometry import Pose, rotation_angle
+from onboard.core.geometry import Pose, apart
 from onboard.core.lidar import LidarModel, lidar_model
 from onboard.localization.estimate import Estimate
 from onboard.localization.odometry import Odometry
@@ -106,8 +106,7 @@ class RecordingSession:
         last = self._keyframe_pose
         if last is None:
             return True
-        moved_m = float(np.linalg.norm(pose.position - last.position))
-        turned_rad = rotation_angle(pose.quaternion, last.quaternion)
+        moved_m, turned_rad = apart(pose, last)
         limits = self.settings
         return moved_m > limits.keyframe_translation_m or turned_rad > limits.keyframe_rotation_rad
 

@@ -13,12 +13,12 @@ import small_gicp
 from scipy.spatial.transform import Rotation
 
 from benchmarks.colocalisation.cases import Case
-from onboard.core.geometry import FloatArray, Pose
+from onboard.core.geometry import FloatArray, Pose, apart
 from onboard.localization.align import Source, align
 from onboard.localization.cloud_bytes import cloud_from_bytes, cloud_to_bytes
 from onboard.localization.colocalise import Colocalisation
 from onboard.localization.local_cloud import LocalCloud
-from onboard.localization.locate import Estimate, LocateSettings, Locator, apart, source_of
+from onboard.localization.locate import Estimate, LocateSettings, Locator, source_of
 from onboard.localization.surfaces import Kind, Surfaces, surfaces_of
 
 PAUSE_S = 1.0

@@ -14,7 +14,7 @@ from rich.console import Console
 from benchmarks import tables
 from benchmarks.matrix import ROOT
 from benchmarks.odometry import report
-from benchmarks.odometry.base import BaseErrors
+from benchmarks.odometry.base import Base
 from benchmarks.odometry.measure import Result, base_alone, run_ours, run_peer
 from benchmarks.odometry.peers import TRACKERS
 from benchmarks.odometry.sequences import SWEEPING_HZ, Plan, sequence
@@ -81,9 +81,8 @@ def _measure(plan: Plan, program: str, options: argparse.Namespace) -> Result:
     if program == OURS:
         return run_ours(cast, program, scans=options.scans)
     if program == FUSED:
-        errors = BaseErrors()
-        result = run_ours(cast, program, errors, options.scans)
-        result.extra["base_alone_drift"] = base_alone(cast, errors).drift
+        result = run_ours(cast, program, Base(cast.track), options.scans)
+        result.extra["base_alone_drift"] = base_alone(cast).drift
         return result
     return run_peer(cast, program, options.scans)
 

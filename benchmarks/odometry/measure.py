@@ -3,22 +3,19 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass, field, fields
 from typing import Any
 
 import numpy as np
 
-from benchmarks.odometry.base import BaseErrors, increments
+from benchmarks.odometry.base import Base
 from benchmarks.odometry.peers import TRACKERS
 from benchmarks.odometry.sequences import Sequence
 from ground_station.trajectory_errors import TrajectoryErrors, compare_trajectories
 from onboard.core.geometry import FloatArray, Pose
 from onboard.localization.estimate import Estimate
 from onboard.localization.lie import between
-from onboard.localization.odometry import Odometry
-from onboard.localization.prediction import RelativeMotion
-from onboard.localization.reckoning import Increment, Reckoning
+from onboard.localization.tracker import Tracker
 
 WARM_SCANS = 5
 """Of so many scans the times do not count: compilation, first pages of memory."""
@@ -67,52 +64,31 @@ def run_peer(sequence: Sequence, program: str, scans: int | None = None) -> Resu
     return _result(sequence, program, poses, true, times_ms)
 
 
-def run_ours(
-    sequence: Sequence, program: str, base: BaseErrors | None = None, scans: int | None = None
-) -> Result:
-    """This project's odometry, with the increments of a simulated base where `base` is given."""
-    odometry, results, times_ms = Odometry(), list[Estimate](), []
-    told = None if base is None else Teller(increments(sequence.track, base, np.random.default_rng(11)))
+def run_ours(sequence: Sequence, program: str, base: Base | None = None, scans: int | None = None) -> Result:
+    """This project's odometry, with what `base` tells where there is one."""
+    tracker, results, times_ms = Tracker(), list[Estimate](), []
     for index, sweep in enumerate(sequence.sweeps()):
         if index == scans:
             break
+        told = [] if base is None else base.until(sweep.stamp_s)
         start_s = time.process_time()
-        prediction = None if told is None else told.until(sweep.stamp_s)
-        results.append(odometry.step(sweep.stamp_s, sweep.points, sweep.offsets_s, prediction))
+        for motion in told:
+            tracker.moved(motion)
+        results.append(tracker.scanned(sweep.stamp_s, sweep.points, sweep.offsets_s))
         times_ms.append((time.process_time() - start_s) * 1e3)
     true = sequence.truth()[: len(results)]
     result = _result(sequence, program, [found.pose for found in results], true, times_ms)
     return _judged(result, results, true)
 
 
-class Teller:
-    """Hands out a base's increments as relative motions from stamp to stamp."""
-
-    def __init__(self, increments: Iterable[Increment]) -> None:
-        self._waiting = iter(increments)
-        self._reckoning = Reckoning()
-        self._last_s: float | None = None
-
-    def until(self, stamp_s: float) -> RelativeMotion | None:
-        """Motion since the stamp of the call before; None the first time."""
-        for increment in self._waiting:
-            self._reckoning.add(increment)
-            if increment.end_s >= stamp_s:
-                break
-        start_s, self._last_s = self._last_s, stamp_s
-        return None if start_s is None else self._reckoning.motion(start_s, stamp_s)
-
-
-def base_alone(sequence: Sequence, errors: BaseErrors) -> TrajectoryErrors:
+def base_alone(sequence: Sequence) -> TrajectoryErrors:
     """What the simulated base would say by itself."""
-    poses = [Pose.identity()]
-    told = increments(sequence.track, errors, np.random.default_rng(11))
-    for increment in told:
-        poses.append(poses[-1].compose(increment.motion))
-    start = sequence.track.pose(told[0].start_s).inverse()
-    true = [start.compose(sequence.track.pose(told[0].start_s))]
-    true += [start.compose(sequence.track.pose(increment.end_s)) for increment in told]
-    return compare_trajectories(poses[::5], true[::5])
+    base, pose, poses = Base(sequence.track), Pose.identity(), list[Pose]()
+    for index in range(len(sequence)):
+        for told in base.until(sequence.stamp_s(index)):
+            pose = pose.compose(told.motion)
+        poses.append(pose)
+    return compare_trajectories(poses, sequence.truth())
 
 
 def nees(found: list[Estimate], true: list[Pose]) -> FloatArray:

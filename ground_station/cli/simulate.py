@@ -39,32 +39,37 @@ class Poses(StrEnum):
     TRUE = "true"
 
 
+WorldOption = Annotated[
+    str, typer.Option(help="A built-in world (see [bold]marsupial world --help[/]) or a mesh file.")
+]
+DurationOption = Annotated[
+    float | None, typer.Option(metavar="SECONDS", help="Mission time; the configuration's unless given.")
+]
+StartOption = Annotated[
+    str | None, typer.Option(metavar="X,Y,Z", help="Start on the floor, metres; the world's unless given.")
+]
+ConfigOption = Annotated[
+    Path | None,
+    typer.Option(metavar="FILE", help="Team and mission (TOML); the shipped team unless given."),
+]
+PosesOption = Annotated[
+    Poses, typer.Option(help="'estimated': by their own LiDARs; 'true': they are told where they are.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print the metrics as JSON and nothing else.")]
+
+
 def simulate(
     *,
-    world: Annotated[
-        str, typer.Option(help="A built-in world (see [bold]marsupial world --help[/]) or a mesh file.")
-    ] = "building",
+    world: WorldOption = "building",
     seed: Annotated[int, typer.Option(min=0, help="Same seed, same run, byte for byte.")] = 1,
-    duration: Annotated[
-        float | None, typer.Option(metavar="SECONDS", help="Mission time; the configuration's unless given.")
-    ] = None,
+    duration: DurationOption = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Where the run goes.")] = Path("run"),
     team: Annotated[Team, typer.Option(help="'ground' or 'aerial': one robot alone.")] = Team.BOTH,
-    start: Annotated[
-        str | None,
-        typer.Option(metavar="X,Y,Z", help="Start on the floor, metres; the world's unless given."),
-    ] = None,
-    config: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Team and mission (TOML); the shipped team unless given."),
-    ] = None,
-    poses: Annotated[
-        Poses, typer.Option(help="'estimated': by their own LiDARs; 'true': they are told where they are.")
-    ] = Poses.ESTIMATED,
+    start: StartOption = None,
+    config: ConfigOption = None,
+    poses: PosesOption = Poses.ESTIMATED,
     bt: Annotated[bool, typer.Option("--bt", help="Also write map.bt, a tree for OctoMap.")] = False,
-    as_json: Annotated[
-        bool, typer.Option("--json", help="Print the metrics as JSON and nothing else.")
-    ] = False,
+    as_json: JsonOption = False,
     force: Annotated[bool, typer.Option("--force", help="Replace an earlier run in DIR.")] = False,
 ) -> None:
     """Simulate a whole mission: explore, release the aerial robot, meet again, merge the maps.

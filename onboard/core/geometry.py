@@ -129,3 +129,8 @@ class Pose:
     def inverse(self) -> Pose:
         x, y, z, w = self.quaternion
         return Pose(-self.rotation.T @ self.position, np.array([-x, -y, -z, w]))
+
+
+def apart(a: Pose, b: Pose) -> tuple[float, float]:
+    """Distance in metres and angle in radians between two poses."""
+    return float(np.linalg.norm(a.position - b.position)), rotation_angle(a.quaternion, b.quaternion)

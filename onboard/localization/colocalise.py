@@ -16,8 +16,8 @@ from enum import Enum, auto
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.core.geometry import Pose
-from onboard.localization.locate import Estimate, LocateSettings, Locator, apart
+from onboard.core.geometry import Pose, apart
+from onboard.localization.locate import Estimate, LocateSettings, Locator
 from onboard.localization.verdict import Reason, words_of
 
 

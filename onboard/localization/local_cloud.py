@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.core.errors import InputError
-from onboard.core.geometry import FloatArray, Pose, rotation_angle
+from onboard.core.geometry import FloatArray, Pose, apart
 
 _KEY_BITS = 21
 _KEY_HALF = 1 << (_KEY_BITS - 1)
@@ -79,8 +79,7 @@ class LocalCloud:
     def _wanted(self, pose: Pose) -> bool:
         if self._last is None:
             return True
-        moved_m = float(np.linalg.norm(pose.position - self._last.position))
-        turned_rad = rotation_angle(pose.quaternion, self._last.quaternion)
+        moved_m, turned_rad = apart(pose, self._last)
         return moved_m >= self._settings.spacing_m or turned_rad >= self._settings.spacing_rad
 
 

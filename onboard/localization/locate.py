@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.core.geometry import FloatArray, Pose, rotation_angle
+from onboard.core.geometry import FloatArray, Pose, apart
 from onboard.localization.align import Source, Stage, align, fitting_costs, paired
 from onboard.localization.certainty import Certainty, certainty_of
 from onboard.localization.grid_search import SearchSettings, search
@@ -204,11 +204,6 @@ class Locator:
             (sure.rotation_std_rad > limits.max_std_rad, Reason.UNCERTAIN),
         )
         return next((reason for against, reason in objections if against), Reason.ACCEPTED)
-
-
-def apart(a: Pose, b: Pose) -> tuple[float, float]:
-    """Distance in metres and angle in radians between two poses."""
-    return float(np.linalg.norm(a.position - b.position)), rotation_angle(a.quaternion, b.quaternion)
 
 
 def source_of(points: FloatArray, settings: LocateSettings) -> Source:

@@ -99,24 +99,6 @@ class Registration:
     covariance: FloatArray | None = None
 
 
-def register(
-    target: Submap,
-    source: Submap,
-    guess: Pose,
-    reach_m: float,
-    turn_rad: float,
-    settings: RegistrationSettings,
-) -> Registration:
-    """Find the pose of `source`'s frame in that of `target`, which is expected within reach of `guess`."""
-    pieces = registering(target, source, guess, reach_m, turn_rad, settings)
-    while True:
-        try:
-            next(pieces)
-        except StopIteration as end:
-            found: Registration = end.value
-            return found
-
-
 def registering(
     target: Submap,
     source: Submap,
@@ -125,9 +107,10 @@ def registering(
     turn_rad: float,
     settings: RegistrationSettings,
 ) -> Pieces:
-    """The same in pieces of some 20 ms of computing, one at a `next`.
+    """Find the pose of `source`'s frame in that of `target`, which is expected within reach of `guess`.
 
-    Descents begin with few points; only the best of them is then gone down with all.
+    In pieces of some 20 ms of computing, one at a `next`. Descents begin with few points; only the best of
+    them is then gone down with all.
     """
     yield from _prepared(target, source, ("points", "voxels"))
     if min(len(target.points), len(source.points)) < settings.min_points:

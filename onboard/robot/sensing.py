@@ -7,7 +7,7 @@ import numpy as np
 from onboard.codec import Keyframe, decode, encode
 from onboard.core.config import RobotSettings
 from onboard.core.errors import WireError
-from onboard.core.geometry import Pose, rotation_angle
+from onboard.core.geometry import Pose, apart
 from onboard.core.lidar import Scan
 from onboard.mapping.voxel_map import PEER, VoxelMap
 from onboard.planning.local_graph import FloatArray
@@ -42,12 +42,9 @@ class Sensing:
             return False
         if self._last_keyframe is None:
             return True
-        pose = self.sensor_pose(body)
-        moved = float(np.linalg.norm(pose.position - self._last_keyframe.position))
-        turned = rotation_angle(pose.quaternion, self._last_keyframe.quaternion)
-        return (
-            moved > self._settings.keyframes.translation_m or turned > self._settings.keyframes.rotation_rad
-        )
+        moved_m, turned_rad = apart(self.sensor_pose(body), self._last_keyframe)
+        limits = self._settings.keyframes
+        return moved_m > limits.translation_m or turned_rad > limits.rotation_rad
 
     def make_keyframe(self, scan: Scan, body: Pose) -> tuple[bytes, FloatArray]:
         """Encode a scan; its bytes and the LiDAR position (3,) that they carry."""

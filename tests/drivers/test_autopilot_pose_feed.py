@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 
 from drivers.mavlink.frames import Bridge, Pose, into_body, swap, tilt_of, to_ned, turned_yaw, yaw_of_ned
 from drivers.mavlink.pose_feed import FeedSettings, PoseFeed, ResetWatch
+from onboard.core.geometry import quaternion_from_rpy
 
 ANGLES = st.floats(-3.1, 3.1)
 METRES = st.floats(-50.0, 50.0)
@@ -17,15 +18,8 @@ PLACES = st.tuples(METRES, METRES, METRES)
 
 
 def turned(roll: float, pitch: float, yaw: float) -> tuple[float, float, float, float]:
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
+    x, y, z, w = quaternion_from_rpy(roll, pitch, yaw).tolist()
+    return x, y, z, w
 
 
 def pose(stamp_s: float, x: float = 0.0, yaw: float = 0.0, speed: float = 0.0, **more: int) -> Pose:

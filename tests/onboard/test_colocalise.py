@@ -10,11 +10,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onboard.core.config import BracketSettings, LidarSettings, RobotSettings
-from onboard.core.geometry import Pose
+from onboard.core.geometry import Pose, apart
 from onboard.localization import colocalise
 from onboard.localization.bracket import carried_pose, carried_sensor_pose
 from onboard.localization.colocalise import Colocalisation, ColocalisationSettings, State
-from onboard.localization.locate import Estimate, Locator, apart
+from onboard.localization.locate import Estimate, Locator
 from onboard.localization.verdict import Reason, words_of
 from tests.onboard.colocalisation_scenes import Place, beside, corridor, furnished, ribbed_corridor
 

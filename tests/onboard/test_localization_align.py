@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from onboard.core.geometry import Pose
+from onboard.core.geometry import Pose, apart
 from onboard.localization.align import (
     Pairs,
     Source,
@@ -20,7 +20,6 @@ from onboard.localization.align import (
 )
 from onboard.localization.certainty import certainty_of
 from onboard.localization.grid_search import SearchSettings, search
-from onboard.localization.locate import apart
 from onboard.localization.surfaces import Kind, Surfaces, surfaces_of
 
 STAGES = (Stage(1.0, 0.5, 10), Stage(0.4, 0.1, 15))

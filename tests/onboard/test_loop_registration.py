@@ -13,7 +13,7 @@ from onboard.core.lidar import Scan
 from onboard.localization.loops import Candidate, LoopSettings, Refusals, propose, submap_of
 from onboard.localization.non_convexity import Rounds, chi_square_limit
 from onboard.localization.pose_graph import Anchor, PoseGraph
-from onboard.localization.registration import Reason, Registration, RegistrationSettings, register
+from onboard.localization.registration import Reason, Registration, RegistrationSettings, registering
 from onboard.localization.submaps import Submap, SubmapSettings
 from simulation.scene import Scene
 from simulation.worlds.solids import Mesh, joined
@@ -34,6 +34,16 @@ def along(scene: Scene, model: str = "vlp-16") -> tuple[list[Pose], list[Scan]]:
     return truth, scans(scene, truth, model)
 
 
+def registered(target: Submap, source: Submap, guess: Pose, reach_m: float) -> Registration:
+    """What all pieces lead to."""
+    pieces = registering(target, source, guess, reach_m, 0.1, RegistrationSettings())
+    while True:
+        try:
+            next(pieces)
+        except StopIteration as end:
+            return end.value
+
+
 def found(
     truth: list[Pose], taken: list[Scan], older: int, newer: int, off: list[float], reach_m: float
 ) -> tuple[Registration, float]:
@@ -41,7 +51,7 @@ def found(
     submaps = [_submap(truth, taken, place) for place in (older, newer)]
     real = truth[newer].position - truth[older].position
     guess = Pose(real + off, Pose.identity().quaternion)
-    result = register(*submaps, guess, reach_m, 0.1, RegistrationSettings())
+    result = registered(*submaps, guess, reach_m)
     missed = np.inf if result.fit is None else float(np.linalg.norm(result.fit.pose.position - real))
     return result, missed
 
@@ -89,7 +99,7 @@ def test_surroundings_that_share_nothing_are_left_before_any_descent() -> None:
     taken = scans(world(), [truth[0], truth[20]])
     submaps = [Submap([(scan, Pose.identity())], SubmapSettings()) for scan in taken]
     far = Pose.from_rpy(np.array([60.0, 0.0, 0.0]))
-    result = register(submaps[0], submaps[1], far, 0.5, 0.1, RegistrationSettings())
+    result = registered(submaps[0], submaps[1], far, 0.5)
     assert result.reason is Reason.LITTLE_OVERLAP
     assert result.fit is None
     assert "target" not in vars(submaps[0])

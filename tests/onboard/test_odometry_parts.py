@@ -26,10 +26,10 @@ from onboard.localization.lie import (
 from onboard.localization.odometry_state import OdometryState
 from onboard.localization.plane_map import LEVELS_M, PlaneMap
 from onboard.localization.prediction import Belief, RelativeMotion, guess, informed, steady
-from onboard.localization.reckoning import Increment, Reckoning
 from onboard.localization.scale import WayScale
 from onboard.localization.settings import MotionSettings
 from onboard.localization.thinning import Sweep, Thinner
+from onboard.localization.tracker import Tracker
 
 seeds = st.integers(0, 2**31 - 1)
 MOTION = MotionSettings()
@@ -107,36 +107,17 @@ def test_after_a_long_gap_the_body_is_taken_to_stand() -> None:
 
 
 @given(seeds, st.integers(1, 20))
-def test_increments_add_up_whatever_their_rate(seed: int, count: int) -> None:
+def test_told_motions_add_up_whatever_their_rate(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
-    edges = np.concatenate([[0.0], np.sort(rng.uniform(0.01, 0.99, count)), [1.0]])
-    poses = [pose_of(rng, 0.1) for _ in edges]
-    reckoning = Reckoning()
-    for k in range(len(edges) - 1):
-        motion = poses[k].inverse().compose(poses[k + 1])
-        reckoning.add(Increment(edges[k], edges[k + 1], motion, 0.1 * np.eye(6)))
-    whole = reckoning.motion(0.0, 1.0)
-    assert whole is not None
-    assert close(whole.motion, poses[0].inverse().compose(poses[-1]), 1e-6)
-    np.testing.assert_allclose(whole.covariance, 0.1 * (len(edges) - 1) * np.eye(6))
-    first, second = reckoning.motion(0.0, 0.4), reckoning.motion(0.4, 1.0)
-    assert first is not None
-    assert second is not None
-    assert close(first.motion.compose(second.motion), whole.motion, 1e-6)
-
-
-def test_increments_with_a_gap_tell_nothing_across_it() -> None:
-    step = Pose(np.array([0.1, 0, 0]), np.array([0, 0, 0, 1.0]))
-    reckoning = Reckoning()
-    for start_s in (0.0, 0.1, 0.3, 0.4):
-        reckoning.add(Increment(start_s, start_s + 0.1, step, np.eye(6)))
-    reckoning.add(Increment(0.6, 0.6, step, np.eye(6)))  # takes no time: ignored
-    assert reckoning.motion(0.0, 0.5) is None
-    assert reckoning.motion(0.3, 0.6) is None
-    assert reckoning.motion(0.5, 0.5) is None
-    told = reckoning.motion(0.3, 0.5)
-    assert told is not None
-    assert told.motion.position[0] == pytest.approx(0.2)
+    tracker = Tracker()
+    tracker.moved(RelativeMotion(pose_of(rng), np.eye(6)))  # before the first scan: counts for nothing
+    tracker.scanned(0.0, rng.uniform(-5.0, 5.0, (50, 3)).astype(np.float32))
+    motions = [pose_of(rng, 0.1) for _ in range(count)]
+    whole = Pose.identity()
+    for motion in motions:
+        tracker.moved(RelativeMotion(motion, 1e-6 * np.eye(6)))
+        whole = whole.compose(motion)
+    assert close(tracker.pose, whole, 1e-7)
 
 
 @settings(max_examples=25)

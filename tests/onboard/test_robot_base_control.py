@@ -6,26 +6,14 @@ import numpy as np
 import pytest
 
 from onboard.core.base import STILL, BaseOdometry
-from onboard.core.config import BaseLink, RobotSettings
+from onboard.core.config import BaseLink
 from onboard.core.geometry import Pose
 from onboard.robot.base_control import BaseControl, BaseInputs, PostureAnswer
 from onboard.robot.tracker import Stamped, StampedPath
+from tests.robots import WALKER
 
 PATH = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
 LINK = BaseLink(bridge="ros2dds", settle_s=1.0)
-SETTINGS = RobotSettings.model_validate(
-    {
-        "name": "ground",
-        "id": 1,
-        "kind": "ground",
-        "size_m": (0.93, 0.53, 0.80),
-        "speed_m_s": 0.7,
-        "yaw_rate_rad_s": 0.8,
-        "acceleration_m_s2": 0.8,
-        "lidar": {"model": "vlp-16", "mount_m": (0.0, 0.0, 0.7)},
-        "keyframes": {"translation_m": 2.0},
-    }
-)
 AGREED = PostureAnswer("stand", True, "")
 
 
@@ -38,7 +26,7 @@ class Bench:
     """A control that is fed every 50 ms, with whatever a test takes away."""
 
     def __init__(self, gate=lambda now_s, velocity, told: ""):
-        self.control = BaseControl(SETTINGS, LINK, gate)
+        self.control = BaseControl(WALKER, LINK, gate)
         self.now_s = 0.0
 
     def step(self, without=(), posture="stand", linear=(0.0, 0.0, 0.0), yaw=0.0, answers=()):
@@ -117,7 +105,7 @@ def test_after_a_refusal_it_starts_from_rest():
     bench.run(1.3)
     speeds = [bench.step().velocity.forward_m_s for _ in range(20)]
     assert 0.0 in speeds
-    assert np.diff(speeds).max() <= SETTINGS.acceleration_m_s2 * 0.05 + 1e-9
+    assert np.diff(speeds).max() <= WALKER.acceleration_m_s2 * 0.05 + 1e-9
 
 
 def test_sits_down_after_it_has_stopped():

@@ -8,25 +8,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onboard.core.base import STILL, BodyVelocity
-from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
 from onboard.robot.pace import FLAT_RAD, STEEP_RAD, pace, slope_limit, slopes_ahead, tilt
 from onboard.robot.tracker import LEAD_M, STALE_S, BaseTracker, Stamped, StampedPath, aimed
+from tests.robots import WALKER
 
 STAIRS_M_S = 0.35
-SETTINGS = RobotSettings.model_validate(
-    {
-        "name": "ground",
-        "id": 1,
-        "kind": "ground",
-        "size_m": (0.93, 0.53, 0.80),
-        "speed_m_s": 0.7,
-        "yaw_rate_rad_s": 0.8,
-        "acceleration_m_s2": 0.8,
-        "lidar": {"model": "vlp-16", "mount_m": (0.0, 0.0, 0.7)},
-        "keyframes": {"translation_m": 2.0},
-    }
-)
 AHEAD = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
 STAIRS = np.array([[0.0, 0.0, 0.0], [3.0, 0.0, 0.0], [6.0, 0.0, 1.8], [9.0, 0.0, 1.8]])
 
@@ -37,7 +24,7 @@ def at(x=0.0, y=0.0, z=0.0, yaw=0.0, pitch=0.0, stamp_s=0.0):
 
 def settled(where, points=AHEAD, now_s=10.0, seconds=1.5, moving=None):
     """The command after `seconds` on the spot: what the ramp of the speed does not hide."""
-    tracker = BaseTracker(SETTINGS, STAIRS_M_S)
+    tracker = BaseTracker(WALKER, STAIRS_M_S)
     moving = np.zeros(3) if moving is None else moving
     for step in range(round(seconds / 0.05) + 1):
         time_s = now_s + step * 0.05
@@ -49,7 +36,7 @@ def settled(where, points=AHEAD, now_s=10.0, seconds=1.5, moving=None):
 
 class TestStops:
     def step(self, now_s=10.0, pose_s=10.0, path_s=10.0, standing=True, where=None, points=AHEAD):
-        tracker = BaseTracker(SETTINGS, STAIRS_M_S)
+        tracker = BaseTracker(WALKER, STAIRS_M_S)
         tracker.step(9.9, at(stamp_s=9.9), StampedPath(9.9, AHEAD), True)
         where = replace(where or at(), stamp_s=pose_s)
         return tracker.step(now_s, where, StampedPath(path_s, points), standing)
@@ -73,7 +60,7 @@ class TestStops:
         assert self.step(now_s=np.nan).velocity == STILL
 
     def test_nothing_to_follow(self):
-        tracker = BaseTracker(SETTINGS, STAIRS_M_S)
+        tracker = BaseTracker(WALKER, STAIRS_M_S)
         assert tracker.step(0.0, at(), None, True).halt == "no path"
         assert tracker.step(0.0, at(), StampedPath(0.0, np.zeros((0, 3))), True).halt == "no path"
         assert tracker.step(0.0, None, StampedPath(0.0, AHEAD), True).halt == "stale pose"
@@ -97,17 +84,17 @@ class TestStops:
         assert drive.velocity == STILL
 
     def test_speeds_up_from_rest_after_every_stop(self):
-        tracker = BaseTracker(SETTINGS, STAIRS_M_S)
+        tracker = BaseTracker(WALKER, STAIRS_M_S)
         speeds = []
         for step in range(60):
             now_s = step * 0.05
             path_s = now_s if step < 30 or step > 40 else 1.45
             drive = tracker.step(now_s, at(stamp_s=now_s), StampedPath(path_s, AHEAD), True)
             speeds.append(drive.velocity.forward_m_s)
-        assert max(speeds[:30]) == pytest.approx(SETTINGS.speed_m_s)
+        assert max(speeds[:30]) == pytest.approx(WALKER.speed_m_s)
         assert speeds[36] == 0.0
         gains = np.diff(speeds)
-        assert gains.max() <= SETTINGS.acceleration_m_s2 * 0.05 + 1e-9
+        assert gains.max() <= WALKER.acceleration_m_s2 * 0.05 + 1e-9
         assert speeds[41] == 0.0
         assert speeds[-1] > 0.5
 
@@ -115,7 +102,7 @@ class TestStops:
 class TestSteering:
     def test_straight_ahead_at_full_speed(self):
         velocity = settled(at()).velocity
-        assert velocity.forward_m_s == pytest.approx(SETTINGS.speed_m_s)
+        assert velocity.forward_m_s == pytest.approx(WALKER.speed_m_s)
         assert velocity.left_m_s == pytest.approx(0.0)
         assert velocity.yaw_rate == pytest.approx(0.0)
 
@@ -140,13 +127,13 @@ class TestSteering:
 
     def test_turns_before_it_walks(self):
         velocity = settled(at(yaw=1.2)).velocity
-        assert velocity.yaw_rate == pytest.approx(-SETTINGS.yaw_rate_rad_s)
+        assert velocity.yaw_rate == pytest.approx(-WALKER.yaw_rate_rad_s)
         assert np.hypot(velocity.forward_m_s, velocity.left_m_s) == pytest.approx(0.0)
 
     def test_a_leg_that_was_left_is_not_taken_up_again(self):
         """Out and back on the same line: at the same place it goes the way that comes later."""
         points = np.array([[0.0, 0.0, 0.0], [4.0, 0.0, 0.0], [4.0, 0.2, 0.0], [-2.0, 0.2, 0.0]])
-        tracker = BaseTracker(SETTINGS, STAIRS_M_S)
+        tracker = BaseTracker(WALKER, STAIRS_M_S)
         path = StampedPath(0.0, points)
         for place in (at(x=3.0), at(x=4.0, y=0.15), at(x=3.0, y=0.2, yaw=np.pi)):
             tracker.step(0.0, place, path, True)
@@ -178,8 +165,8 @@ class TestSteering:
     def test_never_outside_its_limits(self, points, place, yaw, moving):
         where = Stamped(0.0, Pose.from_rpy(np.array(place), yaw_rad=yaw))
         velocity = settled(where, np.array(points), seconds=1.0, moving=np.array(moving)).velocity
-        assert np.hypot(velocity.forward_m_s, velocity.left_m_s) <= SETTINGS.speed_m_s + 1e-9
-        assert abs(velocity.yaw_rate) <= SETTINGS.yaw_rate_rad_s + 1e-9
+        assert np.hypot(velocity.forward_m_s, velocity.left_m_s) <= WALKER.speed_m_s + 1e-9
+        assert abs(velocity.yaw_rate) <= WALKER.yaw_rate_rad_s + 1e-9
 
 
 class TestPace:
@@ -199,7 +186,7 @@ class TestPace:
 
     def test_slowed_down_in_time(self):
         """Wherever it is, braking at the base's own rate it is as slow as it must be at the first tread."""
-        first_tread = 3.0 - SETTINGS.size_m[0] / 2
+        first_tread = 3.0 - WALKER.size_m[0] / 2
         for x in np.arange(0.0, first_tread, 0.1):
             limit = slope_limit(at(x=x).pose, STAIRS, 0.93, 0.7, STAIRS_M_S, 0.8)
             reached = np.sqrt(max(0.0, limit**2 - 2 * 0.8 * (first_tread - x)))

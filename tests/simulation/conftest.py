@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from onboard.core.config import LidarSettings, RobotSettings
 from simulation.scene import Scene
+from tests.robots import WALKER
 
 Mesh = tuple[NDArray[np.float32], NDArray[np.int32]]
 Box = tuple[float, float, float, float, float, float]
@@ -68,21 +69,7 @@ def stairs(scene_of: Callable[[Iterable[Box]], Scene]) -> Callable[[float, float
 
 @pytest.fixture(scope="session")
 def ground_settings() -> RobotSettings:
-    return RobotSettings.model_validate(
-        {
-            "name": "ground",
-            "id": 1,
-            "kind": "ground",
-            "size_m": (0.93, 0.53, 0.80),
-            "speed_m_s": 0.7,
-            "yaw_rate_rad_s": 0.8,
-            "acceleration_m_s2": 0.8,
-            "battery_wh": 900.0,
-            "hover_power_w": 300.0,
-            "lidar": {"model": "vlp-16", "mount_m": (0.0, 0.0, 0.7)},
-            "keyframes": {"translation_m": 2.0},
-        }
-    )
+    return WALKER
 
 
 @pytest.fixture(scope="session")
