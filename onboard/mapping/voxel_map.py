@@ -154,6 +154,12 @@ class VoxelMap:
         """Arrays for numba kernels that query the planning view; valid until the map changes."""
         return self.store.planning_tables()
 
+    def observed_tables(self) -> PlanningTables:
+        """The same of what somebody has observed: what is merely assumed is unknown; a copy."""
+        keys, slots, occupied, _ = self.store.planning_tables()
+        known = self.known_masks()
+        return PlanningTables(keys, slots, occupied[: len(known)] & known, known)
+
     def status(self, points: ArrayLike) -> Statuses:
         """Planning status (N,) of the voxels that hold these points (N, 3), metres."""
         points = _rows_of_three(points)

@@ -23,17 +23,20 @@ _MAX_RADIUS = 120  # twice its square still fits int16
 
 
 def dense_window(
-    voxel_map: VoxelMap, lower_index: ArrayLike, shape: tuple[int, int, int]
+    voxel_map: VoxelMap,
+    lower_index: ArrayLike,
+    shape: tuple[int, int, int],
+    tables: PlanningTables | None = None,
 ) -> NDArray[np.uint8]:
     """Planning status [x, y, z] of the voxels lower_index (3,) .. lower_index + shape - 1, at any alignment.
 
-    The array is Fortran-ordered: x varies fastest.
+    The array is Fortran-ordered: x varies fastest. `tables` of the map replace those of the planning view.
     """
     first = np.asarray(lower_index, np.int64)
     first_block = first >> 3
     blocks = ((first + np.asarray(shape) - 1) >> 3) - first_block + 1
     words = np.empty((8 * blocks[2], 8 * blocks[1], blocks[0]), np.int64)
-    _fill_blocks(voxel_map.planning_tables(), first_block, words)
+    _fill_blocks(tables or voxel_map.planning_tables(), first_block, words)
     aligned = words.view(np.uint8)
     x, y, z = first - 8 * first_block
     part = aligned[z : z + shape[2], y : y + shape[1], x : x + shape[0]]
