@@ -168,7 +168,7 @@ def is_finite(pose: Pose) -> bool:
 
 
 def in_body(command: Velocity, yaw: float, ratio: float = 1.0) -> BodyVelocity:
-    """A command in the map frame, scaled by `ratio`, in the body frame; turning on the spot stays as it is."""
+    """A command in the map frame, its speed times `ratio`, in the body frame; turning stays as it is."""
     x, y = command.linear[:2] * ratio
     cos, sin = np.cos(yaw), np.sin(yaw)
     return BodyVelocity(float(cos * x + sin * y), float(cos * y - sin * x), command.yaw_rate)
