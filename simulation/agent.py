@@ -16,11 +16,13 @@ from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory, RobotCore
 from onboard.robot.interface import Inputs, Log, Outputs
 from onboard.robot.map_frame import Estimated, Given, MapFrame
+from onboard.safety import NO_BRACKET
+from onboard.safety_facts import BaseFacts
 from simulation.aerial_robot import AerialRobot
-from simulation.ground_robot import GroundRobot
 from simulation.lidar import Body, LidarSimulator
 from simulation.localisation import EstimatedLocalisation, Localisation, Poses, TrueLocalisation
 from simulation.scene import Scene
+from simulation.walked import WalkedBase
 
 STAND_M = 0.5
 """Height of a flying robot's centre over the floor on the stand from which it takes off by itself."""
@@ -45,9 +47,9 @@ class Agent:
         self._lidar = LidarSimulator(scene, settings.lidar, noise)
         self._scan_period_s = 1.0 / settings.lidar.rate_hz
         self._next_scan_s = 0.0
-        self.body: GroundRobot | AerialRobot
+        self.body: WalkedBase | AerialRobot
         if settings.kind == "ground":
-            self.body = GroundRobot(settings, scene, start.position, start.yaw)
+            self.body = WalkedBase(settings, scene, start.position, start.yaw, seed=seed)
         else:
             self.body = AerialRobot(settings, scene, start)
         carried = settings.kind == "aerial" and any(robot.kind == "ground" for robot in config.robots)
@@ -102,12 +104,12 @@ class Agent:
 
     def move(self, now_s: float, dt_s: float, outputs: Outputs) -> None:
         """Move the body as commanded, in directions as the core believes them to be."""
-        turn = Pose.from_rpy(np.zeros(3), yaw_rad=self.pose.yaw - self.believed.yaw)
-        velocity = turn.rotation @ outputs.velocity.linear
-        if isinstance(self.body, GroundRobot):
-            self.body.step(dt_s, velocity[:2], outputs.velocity.yaw_rate)
+        if isinstance(self.body, WalkedBase):
+            facts = BaseFacts(now_s=now_s, phase=self.core.phase, bracket=NO_BRACKET, departed=True)
+            self.body.step(now_s, dt_s, outputs.velocity, self.believed, facts)
         else:
-            self.body.step(dt_s, velocity, outputs.velocity.yaw_rate)
+            turn = Pose.from_rpy(np.zeros(3), yaw_rad=self.pose.yaw - self.believed.yaw)
+            self.body.step(dt_s, turn.rotation @ outputs.velocity.linear, outputs.velocity.yaw_rate)
         x, y, z = self.pose.position
         self.path.append((now_s, float(x), float(y), float(z)))
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -62,7 +63,9 @@ class LeggedBase:
     It begins sitting. `seed` fixes the noise; the odometry's frame is the pose at the start.
     """
 
-    def __init__(self, walker: Walker, traits: BaseTraits | None = None, seed: int = 0) -> None:
+    def __init__(
+        self, walker: Walker, traits: BaseTraits | None = None, seed: int | Sequence[int] = 0
+    ) -> None:
         self.walker = walker
         self.traits = traits or BaseTraits()
         self.faults = BaseFaults()

@@ -1,4 +1,4 @@
-"""Everything between a planned path and the link to a legged base: posture, tracking, gate; no I/O."""
+"""Everything between a plan and the link to a legged base: posture, tracking or steering, gate; no I/O."""
 
 from __future__ import annotations
 
@@ -13,7 +13,8 @@ from onboard.core.config import BaseLink, RobotSettings
 from onboard.core.geometry import FloatArray
 from onboard.planning.follower import REST
 from onboard.robot.posture import PostureKeeper
-from onboard.robot.tracker import STALE_S, BaseTracker, Stamped, StampedPath
+from onboard.robot.steering import Steering
+from onboard.robot.tracker import STALE_S, BaseTracker, Drive, Stamped, StampedPath, StampedVelocity
 
 Gate = Callable[[float, BodyVelocity, BaseOdometry], str]
 """(now_s, velocity, newest odometry) -> why it must not be sent, "" for no reason."""
@@ -29,13 +30,14 @@ class PostureAnswer(NamedTuple):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class BaseInputs:
-    """What has come since the last step, and what is wanted."""
+    """What has come since the last step, and what is wanted: a path or a velocity; with both it stops."""
 
     now_s: float
     odometry: Sequence[BaseOdometry] = ()
     answers: Sequence[PostureAnswer] = ()
     where: Stamped | None = None
     path: StampedPath | None = None
+    velocity: StampedVelocity | None = None
     posture: Posture | None = None
     """None: as it is."""
 
@@ -51,11 +53,13 @@ class BaseOutputs:
 
 
 class BaseControl:
-    """One base. It moves only where odometry, path and pose are fresh, it stands, and the gate agrees."""
+    """One base. It moves only where odometry, path or velocity, and pose are fresh, it stands, and the gate
+    agrees."""
 
     def __init__(self, settings: RobotSettings, link: BaseLink, gate: Gate) -> None:
         self.posture = PostureKeeper(link.settle_s)
         self._tracker = BaseTracker(settings, link.stairs_speed_m_s)
+        self._steering = Steering(settings, link.stairs_speed_m_s)
         self._gate = gate
         self._odometry: BaseOdometry | None = None
 
@@ -71,12 +75,23 @@ class BaseControl:
             self.posture.want(inputs.posture)
         request = self.posture.step(now_s, _speed(odometry))
         standing = self.posture.is_in(now_s, "stand")
-        moving = _moving(odometry, inputs.where)
-        drive = self._tracker.step(now_s, inputs.where, inputs.path, standing, moving)
+        drive = self._drive(inputs, standing, odometry)
         halt = drive.halt or self._refusal(now_s, drive.velocity, odometry)
         if halt:
             self._tracker.rest()
+            self._steering.rest(now_s)
         return BaseOutputs(STILL if halt else drive.velocity, request, halt)
+
+    def _drive(self, inputs: BaseInputs, standing: bool, odometry: BaseOdometry | None) -> Drive:
+        """What path or velocity make of it; who is not asked rests."""
+        now_s, where, path, velocity = inputs.now_s, inputs.where, inputs.path, inputs.velocity
+        if velocity is None:
+            self._steering.rest(now_s)
+            return self._tracker.step(now_s, where, path, standing, _moving(odometry, where))
+        self._tracker.rest()
+        if path is not None:
+            return Drive(STILL, "path and velocity")
+        return self._steering.step(now_s, where, velocity, standing)
 
     def _fresh(self, now_s: float) -> BaseOdometry | None:
         newest = self._odometry

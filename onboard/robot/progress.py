@@ -37,6 +37,7 @@ class _Mark:
     goal: FloatArray
     time_s: float
     left_m: float
+    position: FloatArray
     yaw_rad: float
     turns: int = 0
 
@@ -56,13 +57,20 @@ class Watchdog:
         left_m = polyline_length(remaining_path(pose.position, plan.path))
         mark = self._mark
         if mark is None or np.linalg.norm(mark.goal - plan.goal) > 1.0:
-            self._mark = _Mark(plan.goal, now_s, left_m, pose.yaw)
+            self._mark = _Mark(plan.goal, now_s, left_m, pose.position, pose.yaw)
             return False
         if left_m < mark.left_m - PROGRESS_M:
-            self._mark = _Mark(plan.goal, now_s, left_m, pose.yaw)
+            self._mark = _Mark(plan.goal, now_s, left_m, pose.position, pose.yaw)
+        elif left_m > mark.left_m + PROGRESS_M and _away(pose, mark) > PROGRESS_M:
+            # another, longer way to the same goal, which it walks: only a shorter rest than that one's counts
+            mark.left_m, mark.position = left_m, pose.position
         elif abs(wrap_angle(pose.yaw - mark.yaw_rad)) > PROGRESS_RAD and mark.turns < MAX_TURNS:
             mark.time_s, mark.yaw_rad, mark.turns = now_s, pose.yaw, mark.turns + 1
         return now_s - mark.time_s > STUCK_S
+
+
+def _away(pose: Pose, mark: _Mark) -> float:
+    return float(np.linalg.norm(pose.position - mark.position))
 
 
 class Pacing:

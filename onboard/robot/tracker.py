@@ -21,7 +21,17 @@ LEAD_M = 0.5
 CORNER_M = 0.1
 """An aim closer than this to the end of its leg is its end: corners are not cut."""
 
-Halt = Literal["", "no path", "stale path", "stale pose", "unusable", "not standing", "arrived"]
+Halt = Literal[
+    "",
+    "no path",
+    "stale path",
+    "stale velocity",
+    "path and velocity",
+    "stale pose",
+    "unusable",
+    "not standing",
+    "arrived",
+]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,6 +48,14 @@ class StampedPath:
 
     stamp_s: float
     points: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class StampedVelocity:
+    """A velocity that a planner wants at `stamp_s`; it closes its own loop and sends a new one in time."""
+
+    stamp_s: float
+    velocity: BodyVelocity
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +120,7 @@ class BaseTracker:
         ramp = self._speed + settings.acceleration_m_s2 * elapsed_s
         allowed = min(speed, limit, ramp)
         self._speed, self._last_s = allowed, now_s
-        return _in_body(command, pose.yaw, allowed / max(speed, 1e-9))
+        return in_body(command, pose.yaw, allowed / max(speed, 1e-9))
 
     def rest(self) -> None:
         """The last command was not sent: the next one begins from rest."""
@@ -130,21 +148,27 @@ def _reason(now_s: float, where: Stamped | None, path: StampedPath | None, stand
     """Why not to move, "" for no reason. Written such that NaN is a reason."""
     if path is None or len(path.points) == 0:
         return "no path"
-    if not 0.0 <= now_s - path.stamp_s < STALE_S:
+    if not is_fresh(now_s, path.stamp_s):
         return "stale path"
-    if where is None or not 0.0 <= now_s - where.stamp_s < STALE_S:
+    if where is None or not is_fresh(now_s, where.stamp_s):
         return "stale pose"
-    if not (
-        np.isfinite(path.points).all()
-        and np.isfinite(where.pose.position).all()
-        and np.isfinite(where.pose.quaternion).all()
-    ):
+    if not (np.isfinite(path.points).all() and is_finite(where.pose)):
         return "unusable"
     return "" if standing else "not standing"
 
 
-def _in_body(command: Velocity, yaw: float, ratio: float) -> BodyVelocity:
-    """The command scaled by `ratio`, turned into the body frame; turning on the spot stays as it is."""
+def is_fresh(now_s: float, stamp_s: float) -> bool:
+    """Whether a stamp is younger than STALE_S and not from the future; NaN is not."""
+    return 0.0 <= now_s - stamp_s < STALE_S
+
+
+def is_finite(pose: Pose) -> bool:
+    """Whether a pose is made of numbers."""
+    return bool(np.isfinite(pose.position).all() and np.isfinite(pose.quaternion).all())
+
+
+def in_body(command: Velocity, yaw: float, ratio: float = 1.0) -> BodyVelocity:
+    """A command in the map frame, its speed times `ratio`, in the body frame; turning stays as it is."""
     x, y = command.linear[:2] * ratio
     cos, sin = np.cos(yaw), np.sin(yaw)
     return BodyVelocity(float(cos * x + sin * y), float(cos * y - sin * x), command.yaw_rate)

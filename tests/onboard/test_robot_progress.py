@@ -9,7 +9,8 @@ from onboard.core.config import load_config
 from onboard.core.geometry import Pose
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.body import Body
-from onboard.robot.progress import BACK_OFF_M, FEEL_AFTER, RETREAT_M, RETREATS, BackOff, Retreats
+from onboard.planning.plan import Plan
+from onboard.robot.progress import BACK_OFF_M, FEEL_AFTER, RETREAT_M, RETREATS, BackOff, Retreats, Watchdog
 
 TEAM = Path(__file__).parents[2] / "config" / "sim" / "team.toml"
 HERE = Pose.from_rpy(np.array([2.0, 1.0, 0.0]))
@@ -96,3 +97,23 @@ def test_a_robot_that_goes_to_and_fro_turns_after_all():
 def test_going_back_from_one_place_after_the_other_is_not_counted_together():
     retreats = Retreats()
     assert all(retreats.again(np.array([2.0 * i, 0.0, 0.0])) for i in range(30))
+
+
+def detour(x, way_m):
+    """A plan from (x, 0) to the goal (20, 0) that goes `way_m` aside and back first."""
+    return Plan(np.array([[x, 0.0, 0.0], [x, way_m, 0.0], [20.0, way_m, 0.0], [20.0, 0.0, 0.0]]), "home")
+
+
+def test_walking_a_longer_way_to_the_same_goal_is_progress():
+    dog, x = Watchdog(), 0.0
+    for step in range(200):
+        x = 0.07 * step
+        plan = Plan(np.array([[x, 0.0, 0.0], [20.0, 0.0, 0.0]]), "home") if step < 20 else None
+        assert not dog.stuck(0.1 * step, Pose.from_rpy(np.array([x, 0.0, 0.0])), plan or detour(x, 6.0))
+
+
+def test_standing_with_ever_longer_ways_is_none():
+    dog, here = Watchdog(), Pose.from_rpy(np.zeros(3))
+    stuck = [dog.stuck(0.1 * step, here, detour(0.0, 1.0 + 0.1 * step)) for step in range(60)]
+    assert not stuck[45]
+    assert stuck[55]
