@@ -7,7 +7,7 @@ import random
 from collections.abc import Callable, Mapping
 
 from drivers.mavlink import modes
-from simulation.px4.body import Airframe, Body, Contact, flat_ground
+from simulation.px4.body import Airframe, Body, Contact, Vec, flat_ground
 from simulation.px4.commander import ACCEPTED, Commander
 from simulation.px4.control import Controller, Target
 from simulation.px4.estimator import Estimator
@@ -84,17 +84,26 @@ class Autopilot:
         else:
             self.body.rest()
             self.controller.reset()
-        self.estimator.predict(now_s, STEP_S, self.body.acceleration, self.body.yaw_rate, not flying)
+        felt = _turned(self.body.acceleration, -self._heading_error)
+        self.estimator.predict(now_s, STEP_S, felt, self.body.yaw_rate, not flying)
         self.estimator.hold_height(now_s, self.body.position[2], STEP_S)
         self._detect_landing(flying)
         get = self.parameters
         self.battery.run(STEP_S, status.armed, get["SIM_BAT_DRAIN"], get["SIM_BAT_MIN_PCT"] / 100.0)
 
+    @property
+    def _heading_error(self) -> float:
+        """From the heading that the estimator believes to the true one: its frame is turned by as much.
+
+        Accelerations are felt and made along the body, so that both know nothing of each other's frame.
+        """
+        return self.body.yaw - self.estimator.yaw
+
     def _fly(self) -> None:
         estimator, body = self.estimator, self.body
-        wanted = self.controller.accelerate(
-            STEP_S, self.target, estimator.position, estimator.velocity, body.acceleration
-        )
+        felt = _turned(body.acceleration, -self._heading_error)
+        wanted = self.controller.accelerate(STEP_S, self.target, estimator.position, estimator.velocity, felt)
+        wanted = _turned(wanted, self._heading_error)
         turn = self.controller.turn(self.target, estimator.yaw)
         powered = self.status.armed and self.status.mode != modes.TERMINATION
         body.fly(STEP_S, wanted, turn, self.contact, powered)
@@ -153,3 +162,10 @@ class Autopilot:
         """MAV_CMD_DO_FLIGHTTERMINATION."""
         self.status.mode = self.status.intended = modes.TERMINATION
         return ACCEPTED
+
+
+def _turned(vector: Vec, angle: float) -> Vec:
+    """A vector turned about the vertical."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    x, y, z = vector
+    return [cos * x - sin * y, sin * x + cos * y, z]

@@ -8,11 +8,23 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from enum import IntEnum
 
 G = 9.80665
 Vec = list[float]
-Contact = Callable[[Vec, Vec], tuple[Vec, bool]]
-"""From a position and the one wanted next to the one that is possible, and whether the way was blocked."""
+
+
+class Touch(IntEnum):
+    """What a motion met."""
+
+    NOTHING = 0
+    GROUND = 1
+    SIDE = 2
+    """A wall, a ceiling, an edge: it stops the vehicle, which does not stand on it."""
+
+
+Contact = Callable[[Vec, Vec], tuple[Vec, Touch]]
+"""From a position and the one wanted next to the one that is possible, and what was in the way."""
 
 
 @dataclass(frozen=True)
@@ -83,10 +95,11 @@ class Body:
         self.acceleration = [f - drag * v for f, v in zip(self.thrust, before, strict=True)]
         after = [v + a * dt_s for v, a in zip(before, self.acceleration, strict=True)]
         target = [p + (u + v) / 2 * dt_s for p, u, v in zip(self.position, before, after, strict=True)]
-        self.position, blocked = contact(self.position, target)
+        self.position, touch = contact(self.position, target)
         self.velocity, self.on_ground = after, False
-        if blocked:
-            self._stop(after)
+        if touch is not Touch.NOTHING:
+            self.on_ground = touch is Touch.GROUND and after[2] > 0.0
+            self.velocity, self.acceleration = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
         self.yaw_rate += (yaw_rate - self.yaw_rate) * min(1.0, dt_s / self.airframe.yaw_lag_s)
         self.yaw = wrap(self.yaw + self.yaw_rate * dt_s)
         self.max_tilt = max(self.max_tilt, self.tilt)
@@ -99,18 +112,14 @@ class Body:
         climb = max(-strongest, min(G, wanted[2]))
         self.thrust = [x + (wanted[0] - x) * side, y + (wanted[1] - y) * side, z + (climb - z) * up]
 
-    def _stop(self, after: Vec) -> None:
-        self.on_ground = after[2] > 0.0
-        self.velocity, self.acceleration = [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]
-
 
 def flat_ground(level_m: float = 0.0) -> Contact:
     """An endless floor at `level_m` (down is positive)."""
 
-    def contact(before: Vec, target: Vec) -> tuple[Vec, bool]:
+    def contact(before: Vec, target: Vec) -> tuple[Vec, Touch]:
         if target[2] <= level_m:
-            return target, False
-        return [before[0], before[1], level_m], True
+            return target, Touch.NOTHING
+        return [before[0], before[1], level_m], Touch.GROUND
 
     return contact
 

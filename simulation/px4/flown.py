@@ -2,40 +2,37 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
+from pathlib import Path
 
-from drivers.mavlink.frames import Pose, Quaternion, Vector, swap, turned_yaw
-from drivers.mavlink.link import VehicleLink
+from drivers.mavlink import modes
+from drivers.mavlink.frames import Pose, Vector, swap, turned_yaw
+from drivers.mavlink.link import LinkSettings, VehicleLink
+from drivers.mavlink.parameter_check import load_parameters
+from drivers.mavlink.signing import Signer
 from onboard.autopilot.core import AutopilotCore
 from onboard.autopilot.inputs import Guidance, Order
 from onboard.autopilot.settings import FlightSettings
 from onboard.daemons.pilot import Pilot
-from simulation.px4.body import Airframe, Vec
+from simulation.px4.body import Airframe, Touch, Vec
 from simulation.px4.vehicle import Px4Vehicle
 
 STEP_S = 0.02
 LEFT_M = 0.3
 """This far above what carried it, the robot has left it."""
-PARAMETERS = {
-    "EKF2_EV_CTRL": 15,
-    "EKF2_HGT_REF": 3,
-    "EKF2_RNG_CTRL": 0,
-    "EKF2_NOAID_TOUT": 1_000_000,
-    "COM_OBL_RC_ACT": 4,
-    "COM_LOW_BAT_ACT": 0,
-    "COM_DISARM_PRFLT": 60,
-    "MPC_TILTMAX_AIR": 20,
-}
+PARAMETERS = load_parameters(Path(__file__).resolve().parents[2] / "config" / "px4" / "aerial.params")
+"""Those that a real vehicle must have: the link checks them, and nothing is armed with others."""
+KEY = bytes(range(32))
+"""Both ends have it: frames are signed, as the parameters demand."""
 CALM = Airframe(drag_1_s=0.3, tilt_lag_s=0.15, accel_noise=0.3, accel_bias=0.05)
 """A caged multirotor with a better inertial unit than the one of PX4's own simulator."""
-Move = Callable[[Vector, Vector], tuple[Vector, bool]]
-"""From a place and the one wanted next (map frame) to the possible one, and whether that is another."""
+Move = Callable[[Vector, Vector], tuple[Vector, Touch]]
+"""From a place and the one wanted next (map frame) to the possible one, and what was in the way."""
 
 
-def free(_: Vector, target: Vector) -> tuple[Vector, bool]:
+def free(_: Vector, target: Vector) -> tuple[Vector, Touch]:
     """Nothing is in the way."""
-    return target, False
+    return target, Touch.NOTHING
 
 
 class FlownVehicle:
@@ -50,15 +47,22 @@ class FlownVehicle:
         seed: int = 0,
         airframe: Airframe = CALM,
         move: Move = free,
-        parameters: Mapping[str, float] | None = None,
         report: Callable[[float, str], None] | None = None,
     ) -> None:
-        place = {"position": swap(position), "yaw": turned_yaw(yaw)}
-        self.vehicle = Px4Vehicle(PARAMETERS | dict(parameters or {}), seed=seed, airframe=airframe, **place)  # type: ignore[arg-type]
+        self.vehicle = Px4Vehicle(
+            {expected.name: expected.value for expected in PARAMETERS},
+            seed=seed,
+            airframe=airframe,
+            position=swap(position),
+            yaw=turned_yaw(yaw),
+            key=KEY,
+        )
         self.vehicle.autopilot.contact = self._contact
-        self.pilot = Pilot(AutopilotCore(flight or FlightSettings()), VehicleLink(), report)
+        link = VehicleLink(LinkSettings(parameters=PARAMETERS), Signer(KEY, 0))
+        self.pilot = Pilot(AutopilotCore(flight or FlightSettings()), link, report)
         self._move = move
         self._support_m: float | None = position[2]
+        self._held = False
         self._data = b""
         self._tick = 0
 
@@ -81,26 +85,41 @@ class FlownVehicle:
         return (body.roll, -body.pitch, turned_yaw(body.yaw))
 
     @property
+    def armed(self) -> bool:
+        """Whether the rotors turn."""
+        return self.vehicle.autopilot.status.armed
+
+    @property
+    def flies(self) -> bool:
+        """Whether the rotors carry it."""
+        status = self.vehicle.autopilot.status
+        return status.lifted and not (status.landed and not status.armed)
+
+    @property
+    def landing(self) -> bool:
+        """Whether it is coming down to stand."""
+        return self.vehicle.autopilot.status.mode == modes.LAND
+
+    @property
     def standing(self) -> bool:
         """Whether it stands disarmed, on its carrier or on the ground."""
-        status = self.vehicle.autopilot.status
-        return status.landed and not status.armed
+        return self.vehicle.autopilot.status.landed and not self.armed
 
-    def carry(self, position: Vector, yaw: float) -> None:
-        """Be where the carrier is, as long as the rotors do not carry."""
-        if self.vehicle.autopilot.status.landed or not self.vehicle.autopilot.status.lifted:
+    @property
+    def left(self) -> bool:
+        """Whether it is off what it stood on at first."""
+        return self._support_m is None
+
+    def carry(self, position: Vector, yaw: float, *, held: bool = False) -> None:
+        """Be where the carrier is, as long as the rotors do not carry or a bracket has it `held`."""
+        self._held = held
+        if held or (not self.left and not self.flies):
             self._support_m = position[2]
             self.vehicle.autopilot.body.place(list(swap(position)), turned_yaw(yaw))
 
     def set_pose(self, pose: Pose) -> None:
         """What the robot's own odometry says."""
         self.pilot.set_pose(pose)
-
-    def perfect_pose(self, now_s: float) -> Pose:
-        """The truth as a pose, for missions without odometry."""
-        roll, pitch, yaw = self.attitude
-        turn = -self.vehicle.autopilot.body.yaw_rate
-        return Pose(now_s, self.position, _quaternion(roll, pitch, yaw), self.velocity, turn)
 
     def set_charge(self, charge: float) -> None:
         """What the mission's battery model says."""
@@ -125,27 +144,16 @@ class FlownVehicle:
             now_s = self._tick * STEP_S
             self._data = self.vehicle.step(now_s, self.pilot.step(now_s, self._data))
 
-    def _contact(self, before: Vec, target: Vec) -> tuple[Vec, bool]:
+    def _contact(self, before: Vec, target: Vec) -> tuple[Vec, Touch]:
         """What carried the robot bears it until it has left; then walls and floors are asked."""
+        if self._held:
+            return before, Touch.GROUND
         wanted = swap((target[0], target[1], target[2]))
         if self._support_m is not None:
             if wanted[2] > self._support_m + LEFT_M:
                 self._support_m = None
             elif wanted[2] < self._support_m:
-                return [before[0], before[1], -self._support_m], True
-            return target, False
-        possible, blocked = self._move(swap((before[0], before[1], before[2])), wanted)
-        return list(swap(possible)), blocked
-
-
-def _quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """x, y, z, w of turns about front, left and up."""
-    cr, sr = math.cos(roll / 2), math.sin(roll / 2)
-    cp, sp = math.cos(pitch / 2), math.sin(pitch / 2)
-    cy, sy = math.cos(yaw / 2), math.sin(yaw / 2)
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
+                return [before[0], before[1], -self._support_m], Touch.GROUND
+            return target, Touch.NOTHING
+        possible, touch = self._move(swap((before[0], before[1], before[2])), wanted)
+        return list(swap(possible)), touch
