@@ -177,4 +177,21 @@ class Outputs:
     """Where the robot should be now; setpoints run ahead of it."""
 
 
+@dataclass(frozen=True)
+class FlightReport:
+    """The flight as pilot and vehicle tell it to the robot's core and to everybody else."""
+
+    phase: Phase
+    mode: str
+    armed: bool
+    in_air: bool
+    on_ground: bool
+    streaming: bool
+    charge: float | None
+    heartbeat_s: float
+    """When the vehicle was heard of last."""
+    problems: tuple[str, ...] = ()
+    """Why it must not be armed."""
+
+
 Gate = Callable[[Setpoint, FlightFacts, FlightLimits], Verdict]

@@ -67,6 +67,8 @@ class Reference:
         self.position: Vector = ZERO
         self.velocity: Vector = ZERO
         self.yaw = 0.0
+        self._gaining: Vector = ZERO
+        """Acceleration of a motion that follows no path."""
 
     @property
     def holding(self) -> bool:
@@ -82,6 +84,7 @@ class Reference:
         """Begin anew where the robot is, as fast as it is, and come to rest."""
         self.hold()
         self.position, self.velocity, self.yaw = position, shortened(velocity, self._settings.speed_m_s), yaw
+        self._gaining = ZERO
 
     def hold(self) -> None:
         """Brake and stay."""
@@ -121,20 +124,50 @@ class Reference:
             moment = self._trajectory.at(self._along_m)
             self.position, self.velocity = moment.position, scale(moment.velocity, self._rate)
         else:
-            self._step_free(dt_s)
+            self._step_free(dt_s, pose)
         if pose is not None and self._trajectory is not None:
             self._learn(dt_s, pose)
         self._turn(dt_s)
 
-    def _step_free(self, dt_s: float) -> None:
+    def _step_free(self, dt_s: float, pose: Pose | None) -> None:
         settings = self._settings
         wanted, change = ZERO, settings.braking_m_s2
         if self._drive is not None:
-            wanted = scale(shortened(self._drive.velocity, settings.speed_m_s), self._rate)
+            wanted = shortened(self._drive.velocity, settings.speed_m_s)
+            wanted = self._tethered(self._fenced(wanted), pose)
             change = settings.acceleration_m_s2
         before = self.velocity
         self.velocity = towards(before, wanted, change * dt_s)
+        self._gaining = scale(sub(self.velocity, before), 1.0 / dt_s) if dt_s > 0.0 else ZERO
         self.position = add(self.position, scale(add(before, self.velocity), dt_s / 2))
+
+    def _fenced(self, wanted: Vector) -> Vector:
+        """A velocity from which the robot stops at the fence: v^2 = 2 a s, axis by axis."""
+        settings = self._settings
+        ranges = (settings.fence_x_m, settings.fence_y_m, settings.altitude_m)
+        x, y, z = (
+            clamp(speed, -self._stopping(place - low), self._stopping(high - place))
+            for speed, place, (low, high) in zip(wanted, self.position, ranges, strict=True)
+        )
+        return (x, y, z)
+
+    def _stopping(self, gap_m: float) -> float:
+        """Half of the braking that is allowed leaves room for the robot's lag."""
+        return math.sqrt(self._settings.braking_m_s2 * max(0.0, gap_m))
+
+    def _tethered(self, wanted: Vector, pose: Pose | None) -> Vector:
+        """A velocity without what leads farther away from a robot that is held up there, axis by axis.
+
+        The planner goes by where the robot is, so it must not find its velocities saved up in a reference.
+        """
+        if pose is None:
+            return wanted
+        leash_m = self._settings.leash_m
+        x, y, z = (
+            speed if ahead * speed <= 0.0 else speed * clamp(2.0 * (1.0 - abs(ahead) / leash_m), 0.0, 1.0)
+            for speed, ahead in zip(wanted, sub(self.position, pose.position), strict=True)
+        )
+        return (x, y, z)
 
     def _learn(self, dt_s: float, pose: Pose) -> None:
         """Who is late all the time needs more thrust against the drag at that speed."""
@@ -162,7 +195,7 @@ class Reference:
         lag_s = self._settings.lag_s
         if self._trajectory is None:
             position = add(self.position, scale(self.velocity, lag_s))
-            push = scale(self.velocity, self.drag_1_s)
+            push = add(self._gaining, scale(self.velocity, self.drag_1_s))
             return Aim(
                 position, self.velocity, self.yaw, self._drive.clearance_m if self._drive else None, push
             )

@@ -24,11 +24,12 @@ from drivers.mavlink.ports import Port, open_port
 from drivers.mavlink.signing import Signer, load_signer
 from drivers.mavlink.tlog import TlogWriter
 from onboard.autopilot.core import AutopilotCore
-from onboard.autopilot.inputs import Guidance, Order, Path, Wish
+from onboard.autopilot.inputs import Drive, Guidance, Order, Path, Wish
 from onboard.autopilot.settings import FlightSettings, parse_settings
 from onboard.core.errors import ConfigError, MarsupialError
 from onboard.daemons.local_wire import (
     ClimbMessage,
+    DriveMessage,
     Inbox,
     Message,
     OrderMessage,
@@ -142,6 +143,9 @@ class Daemon:
             case PathMessage():
                 path = Path(message.number, message.points, message.clearances_m, message.yaw)
                 self.pilot.set_guidance(Guidance(message.stamp_s, path if message.points else None))
+            case DriveMessage():
+                drive = Drive(message.velocity, message.yaw_rate, message.clearance_m)
+                self.pilot.set_guidance(Guidance(message.stamp_s, drive))
             case OrderMessage():
                 self._order(message)
             case ClimbMessage():
@@ -156,11 +160,11 @@ class Daemon:
             report(message.issued_s, f"unknown order '{message.wish}'")
 
     def _tell(self, now_s: float) -> None:
-        status = self.pilot.status(now_s)
-        link, shaper = self.pilot.link, self.pilot.core.shaper
-        head = (status.phase, status.mode, status.armed, status.in_air, status.streaming, status.charge)
+        status = self.pilot.report()
+        link, shaper, phase = self.pilot.link, self.pilot.core.shaper, status.phase.value
+        head = (phase, status.mode, status.armed, status.in_air, status.streaming, status.charge)
         self._outbox.send(Status(now_s, *head, status.problems, shaper.refused, link.counts.refused))
-        self._notifier.say(f"WATCHDOG=1\nSTATUS={status.phase}, {status.mode}")
+        self._notifier.say(f"WATCHDOG=1\nSTATUS={phase}, {status.mode}")
         if self._tlog is not None:
             self._tlog.flush()
 

@@ -41,6 +41,18 @@ class PathMessage(msgspec.Struct, tag="path", frozen=True, forbid_unknown_fields
     yaw: float | None = None
 
 
+class DriveMessage(msgspec.Struct, tag="drive", frozen=True, forbid_unknown_fields=True):
+    """A velocity to fly (map frame, m/s) and turn (rad/s), and the room where it leads (metres).
+
+    In place of a path, from a planner that closes the loop by itself; sent again at 5 Hz or more.
+    """
+
+    stamp_s: float
+    velocity: Triple
+    yaw_rate: float
+    clearance_m: float
+
+
 class OrderMessage(msgspec.Struct, tag="order", frozen=True, forbid_unknown_fields=True):
     """A wish of the mission or the operator: "take off", "land", "resume", "disarm"."""
 
@@ -57,7 +69,7 @@ class ClimbMessage(msgspec.Struct, tag="climb", frozen=True, forbid_unknown_fiel
     allowed: bool
 
 
-Message = PoseMessage | PathMessage | OrderMessage | ClimbMessage
+Message = PoseMessage | PathMessage | DriveMessage | OrderMessage | ClimbMessage
 
 
 class Inbox:

@@ -4,37 +4,32 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 
 from drivers.mavlink import modes
 from drivers.mavlink.frames import Pose
 from drivers.mavlink.link import VehicleLink
 from onboard.autopilot.core import AutopilotCore
-from onboard.autopilot.inputs import Action, Guidance, Inputs, Order, Outputs, Phase, VehicleFacts
+from onboard.autopilot.inputs import (
+    Action,
+    FlightReport,
+    Guidance,
+    Inputs,
+    Order,
+    Outputs,
+    Phase,
+    VehicleFacts,
+)
 
-Report = Callable[[float, str], None]
+Listener = Callable[[float, str], None]
 MODE_OLD_S = 2.5
-
-
-@dataclass(frozen=True)
-class PilotStatus:
-    """One line about the flight, for health reports."""
-
-    phase: str
-    mode: str
-    armed: bool
-    in_air: bool
-    streaming: bool
-    charge: float | None
-    problems: tuple[str, ...]
 
 
 class Pilot:
     """Owns the newest pose, guidance and order, and runs the core at its rate."""
 
-    def __init__(self, core: AutopilotCore, link: VehicleLink, report: Report | None = None) -> None:
+    def __init__(self, core: AutopilotCore, link: VehicleLink, listener: Listener | None = None) -> None:
         self.core, self.link = core, link
-        self._report = report
+        self._listener = listener
         self._pose: Pose | None = None
         self._guidance: Guidance | None = None
         self._order: Order | None = None
@@ -112,18 +107,20 @@ class Pilot:
         actions[action]()
 
     def _tell(self, now_s: float, text: str) -> None:
-        if self._report is not None:
-            self._report(now_s, text)
+        if self._listener is not None:
+            self._listener(now_s, text)
 
-    def status(self, now_s: float) -> PilotStatus:
+    def report(self) -> FlightReport:
         """Where things stand."""
         state = self.link.state
-        return PilotStatus(
-            self.outputs.phase.value,
+        return FlightReport(
+            self.outputs.phase,
             state.mode_name,
             bool(state.armed),
             state.in_air,
+            state.on_ground,
             self.link.streaming,
             state.charge,
+            state.heartbeat_s,
             self.link.problems,
         )

@@ -171,7 +171,7 @@ def test_velocity_towards_the_fence_comes_to_rest_and_the_stream_does_not_end() 
     assert 7.0 < out.setpoint.position[0] <= 8.0
     assert out.setpoint.position[2] == 4.0
     assert math.hypot(*out.setpoint.velocity) < 0.01
-    assert out.setpoint.acceleration[2] == 0.0, "nothing pushes on through it"
+    assert out.setpoint.acceleration[2] <= 0.0, "nothing pushes on through it"
 
 
 def test_gate_that_says_no_leaves_only_holding() -> None:
