@@ -3,7 +3,7 @@ thing.
 
     ground  CARRYING <-> DEPLOYING -> EXPLORING -> RETURNING -> WAITING -> DONE
             (back to CARRYING while there is a further robot aboard)
-    aerial  CARRIED -> TAKING_OFF -> EXPLORING -> RETURNING -> WAITING -> DONE
+    aerial  CARRIED <-> READY -> TAKING_OFF -> EXPLORING -> RETURNING -> WAITING -> LANDING -> DONE
 
 A ground robot without an aerial one begins in EXPLORING and is DONE when it is back.
 """
@@ -26,11 +26,24 @@ class Phase(IntEnum):
     RETURNING = 5
     WAITING = 6
     DONE = 7
+    READY = 8
+    LANDING = 9
 
 
-FLYING = frozenset({Phase.TAKING_OFF, Phase.EXPLORING, Phase.RETURNING, Phase.WAITING, Phase.DONE})
-AT_REGROUP = frozenset({Phase.CARRIED, Phase.WAITING, Phase.DONE})
+def phase_of(code: int) -> Phase | None:
+    """The phase with this code on the air; None for one that a newer robot may have."""
+    return Phase(code) if code in _CODES else None
+
+
+_CODES = frozenset(int(phase) for phase in Phase)
+ABOARD = frozenset({Phase.CARRIED, Phase.READY})
+"""In the carrier's bracket: with its rotors at rest, or armed and waiting for the bracket to open."""
+AT_REGROUP = ABOARD | {Phase.WAITING, Phase.LANDING, Phase.DONE}
 """A robot that is still aboard is wherever its carrier is."""
+FLYING = frozenset(
+    {Phase.TAKING_OFF, Phase.EXPLORING, Phase.RETURNING, Phase.WAITING, Phase.LANDING, Phase.DONE}
+)
+"""Phases of an aerial robot that has left its carrier; it stands on the ground at the end of the last two."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +54,12 @@ class Facts:
     """The deployment trigger fired (carrier)."""
     shared: bool = False
     """Everything that must reach the peers has been acknowledged by them."""
+    ready: bool = False
+    """Armed and self-tested for a carrier that is about to release (aerial)."""
     released: bool = False
     """The carrier released this robot (aerial)."""
+    airborne: bool = False
+    """The robot is in the air (aerial)."""
     aborted: bool = False
     """The deployment cannot go on (carrier)."""
     peer_clear: bool = False
@@ -95,10 +112,16 @@ def _returning(facts: Facts) -> Phase:
 
 def _waiting(facts: Facts) -> Phase:
     if facts.peers_arrived and facts.shared and facts.complete and facts.arrived:
-        return Phase.DONE
+        return Phase.LANDING if facts.airborne else Phase.DONE
     if facts.more:
         return _resumed(facts)
     return Phase.WAITING if facts.arrived else Phase.RETURNING
+
+
+def _ready(facts: Facts) -> Phase:
+    if facts.released:
+        return Phase.TAKING_OFF
+    return Phase.READY if facts.ready else Phase.CARRIED
 
 
 def _resumed(facts: Facts) -> Phase:
@@ -106,11 +129,13 @@ def _resumed(facts: Facts) -> Phase:
 
 
 _RULES: dict[Phase, Callable[[Facts], Phase]] = {
-    Phase.CARRIED: lambda facts: Phase.TAKING_OFF if facts.released else Phase.CARRIED,
+    Phase.CARRIED: lambda facts: Phase.READY if facts.ready else Phase.CARRIED,
+    Phase.READY: _ready,
     Phase.CARRYING: _carrying,
     Phase.DEPLOYING: _deploying,
     Phase.TAKING_OFF: lambda facts: Phase.EXPLORING if facts.peer_clear else Phase.TAKING_OFF,
     Phase.EXPLORING: _exploring,
     Phase.RETURNING: _returning,
     Phase.WAITING: _waiting,
+    Phase.LANDING: lambda facts: Phase.LANDING if facts.airborne else Phase.DONE,
 }

@@ -44,8 +44,9 @@ BRACKET_MAY_OPEN = frozenset({"LOCKED", "ARMED"})
 NO_BRACKET = "NONE"
 BRACKET_AT_REST = frozenset({"LOCKED", "RELEASED", NO_BRACKET})
 WALKING = frozenset({Phase.CARRYING, Phase.EXPLORING, Phase.RETURNING, Phase.WAITING})
-DEPARTED_M = 2.0
-"""The carrier stays where it is until the aerial robot is farther away than this, and as much above it."""
+DEPARTED_M, FAR_M = 2.0, 3.0
+"""The carrier stays where it is until the aerial robot is farther away than this, and as much above it; or,
+where the ceiling is too low for that, far away."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -232,9 +233,11 @@ def allow_take_off(facts: TakeOffFacts) -> Verdict:
 
 def departed(distance_m: float | None, above_m: float | None) -> bool:
     """Whether a released robot is far enough from its carrier, and above it, for the carrier to move."""
-    return (
-        distance_m is not None and above_m is not None and distance_m > DEPARTED_M and above_m >= DEPARTED_M
-    )
+    if distance_m is None or above_m is None:
+        return False
+    if not (math.isfinite(distance_m) and math.isfinite(above_m)):
+        return False
+    return distance_m > FAR_M or (distance_m > DEPARTED_M and above_m >= DEPARTED_M)
 
 
 def allow_base_motion(command: BaseCommand, facts: BaseFacts, limits: BaseLimits) -> Verdict:

@@ -7,7 +7,7 @@ from itertools import product
 
 import pytest
 
-from onboard.mission import AT_REGROUP, FLYING, Facts, Phase, next_phase
+from onboard.mission import ABOARD, AT_REGROUP, FLYING, Facts, Phase, next_phase, phase_of
 
 NAMES = [field.name for field in fields(Facts)]
 EVERYTHING = [
@@ -15,13 +15,15 @@ EVERYTHING = [
 ]
 
 SUCCESSORS = {
-    Phase.CARRIED: {Phase.TAKING_OFF},
+    Phase.CARRIED: {Phase.READY},
+    Phase.READY: {Phase.TAKING_OFF, Phase.CARRIED},
     Phase.CARRYING: {Phase.DEPLOYING, Phase.RETURNING},
     Phase.DEPLOYING: {Phase.EXPLORING, Phase.CARRYING},
     Phase.TAKING_OFF: {Phase.EXPLORING},
     Phase.EXPLORING: {Phase.RETURNING},
     Phase.RETURNING: {Phase.WAITING, Phase.EXPLORING, Phase.CARRYING},
-    Phase.WAITING: {Phase.RETURNING, Phase.EXPLORING, Phase.CARRYING, Phase.DONE},
+    Phase.WAITING: {Phase.RETURNING, Phase.EXPLORING, Phase.CARRYING, Phase.LANDING, Phase.DONE},
+    Phase.LANDING: {Phase.DONE},
     Phase.DONE: set(),
 }
 
@@ -44,8 +46,12 @@ def test_only_the_drawn_transitions_exist_and_all_of_them_do(phase):
 
 @pytest.mark.parametrize("phase", Phase)
 def test_nothing_happens_without_a_reason(phase):
-    stays = Phase.RETURNING if phase == Phase.WAITING else phase  # not at the point any more: go back to it
-    assert next_phase(phase, Facts()) == stays
+    not_any_more = {
+        Phase.WAITING: Phase.RETURNING,  # not at the point: go back to it
+        Phase.READY: Phase.CARRIED,  # not wanted, or not armed
+        Phase.LANDING: Phase.DONE,  # not in the air
+    }
+    assert next_phase(phase, Facts()) == not_any_more.get(phase, phase)
 
 
 def test_a_finished_robot_stays_finished():
@@ -70,9 +76,12 @@ def test_a_deployment_that_cannot_go_on_ends_in_carrying():
     assert followers(Phase.DEPLOYING, aborted=True) == {Phase.CARRYING}
 
 
-def test_a_carried_robot_takes_off_exactly_when_it_is_released():
-    assert followers(Phase.CARRIED, released=False) == {Phase.CARRIED}
-    assert followers(Phase.CARRIED, released=True) == {Phase.TAKING_OFF}
+def test_a_carried_robot_takes_off_exactly_when_it_is_ready_and_then_released():
+    assert followers(Phase.CARRIED, ready=False) == {Phase.CARRIED}
+    assert followers(Phase.CARRIED, ready=True) == {Phase.READY}
+    assert followers(Phase.READY, released=True) == {Phase.TAKING_OFF}
+    assert followers(Phase.READY, released=False, ready=True) == {Phase.READY}
+    assert followers(Phase.READY, released=False, ready=False) == {Phase.CARRIED}
     assert followers(Phase.TAKING_OFF, peer_clear=False) == {Phase.TAKING_OFF}
     assert followers(Phase.TAKING_OFF, peer_clear=True) == {Phase.EXPLORING}
 
@@ -96,7 +105,14 @@ def test_waiting_needs_an_arrival_and_new_goals_resume_the_exploration():
 def test_done_needs_everybody_there_and_everything_exchanged(missing):
     assert Phase.DONE not in followers(Phase.WAITING, **{missing: False})
     agreed = dict.fromkeys(("arrived", "peers_arrived", "shared", "complete"), True)
-    assert followers(Phase.WAITING, **agreed) == {Phase.DONE}
+    assert followers(Phase.WAITING, airborne=False, **agreed) == {Phase.DONE}
+    assert followers(Phase.WAITING, airborne=True, **agreed) == {Phase.LANDING}
+    assert Phase.LANDING not in followers(Phase.WAITING, **{missing: False})
+
+
+def test_who_lands_is_done_when_it_stands():
+    assert followers(Phase.LANDING, airborne=True) == {Phase.LANDING}
+    assert followers(Phase.LANDING, airborne=False) == {Phase.DONE}
 
 
 def test_who_is_at_the_meeting_point_stays_there_until_everybody_is_and_goes_back_when_it_was_moved():
@@ -113,6 +129,10 @@ def test_every_role_can_get_done_and_only_by_waiting(start):
         reached |= fringe
     assert Phase.DONE in reached
     assert [phase for phase in Phase if Phase.DONE in followers(phase) and phase != Phase.DONE] == [
+        Phase.WAITING,
+        Phase.LANDING,
+    ]
+    assert [phase for phase in Phase if Phase.LANDING in followers(phase) and phase != Phase.LANDING] == [
         Phase.WAITING
     ]
     assert (Phase.CARRYING in reached) is (start == Phase.CARRYING)
@@ -129,12 +149,20 @@ def test_codes_on_the_air_fit_and_are_fixed():
         "RETURNING",
         "WAITING",
         "DONE",
+        "READY",
+        "LANDING",
     ]
-    assert [int(phase) for phase in Phase] == list(range(8))
+    assert [int(phase) for phase in Phase] == list(range(10))
+
+
+def test_a_code_that_nobody_knows_is_no_phase():
+    assert [phase_of(code) for code in range(10)] == list(Phase)
+    assert phase_of(10) is phase_of(255) is phase_of(-1) is None
 
 
 def test_a_robot_aboard_is_at_the_meeting_point_but_not_flying():
-    assert Phase.CARRIED in AT_REGROUP
-    assert Phase.CARRIED not in FLYING
-    assert {Phase.WAITING, Phase.DONE} <= AT_REGROUP & FLYING
+    assert {Phase.CARRIED, Phase.READY} == ABOARD
+    assert ABOARD <= AT_REGROUP
+    assert not ABOARD & FLYING
+    assert {Phase.WAITING, Phase.LANDING, Phase.DONE} <= AT_REGROUP & FLYING
     assert not AT_REGROUP & {Phase.EXPLORING, Phase.RETURNING, Phase.CARRYING, Phase.DEPLOYING}

@@ -66,7 +66,15 @@ BASE = BaseFacts(
     bracket_empty=False,
     departed=True,
 )
-RESTING = (None, Phase.CARRIED, Phase.DEPLOYING, Phase.TAKING_OFF, Phase.DONE)
+RESTING = (
+    None,
+    Phase.CARRIED,
+    Phase.READY,
+    Phase.DEPLOYING,
+    Phase.TAKING_OFF,
+    Phase.LANDING,
+    Phase.DONE,
+)
 AT_WORK = (None, "ARMED", "RELEASING", "FAULT", "")
 BASE_VIOLATIONS = [
     *refused("phase", RESTING, "phase is not one to walk in"),
@@ -205,6 +213,13 @@ def test_a_limit_that_is_no_number_refuses(field):
 def test_a_released_robot_has_departed_when_it_is_far_away_and_above():
     assert departed(2.001, 2.0)
     for distance_m, above_m in ((2.0, 2.5), (3.0, 1.999), (None, 3.0), (3.0, None), (NAN, 3.0), (3.0, NAN)):
+        assert not departed(distance_m, above_m)
+
+
+def test_under_a_low_ceiling_far_away_is_departed_whatever_the_height():
+    assert departed(3.001, 0.0)
+    assert departed(3.001, -3.0)
+    for distance_m, above_m in ((3.0, 1.999), (6.0, None), (6.0, NAN), (INF, 0.0), (6.0, -INF), (NAN, 0.0)):
         assert not departed(distance_m, above_m)
 
 
