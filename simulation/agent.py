@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -11,13 +11,11 @@ from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.localization.bracket import carried_pose
-from onboard.mission import Phase
+from onboard.mission import ABOARD, Phase
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory, RobotCore
-from onboard.robot.interface import Inputs, Log, Outputs
+from onboard.robot.interface import BracketState, Inputs, Log, Outputs
 from onboard.robot.map_frame import Estimated, Given, MapFrame
-from onboard.safety import NO_BRACKET
-from onboard.safety_facts import BaseFacts
 from simulation.aerial_robot import AerialRobot
 from simulation.lidar import Body, LidarSimulator
 from simulation.localisation import EstimatedLocalisation, Localisation, Poses, TrueLocalisation
@@ -51,12 +49,10 @@ class Agent:
         if settings.kind == "ground":
             self.body = WalkedBase(settings, scene, start.position, start.yaw, seed=seed)
         else:
-            self.body = AerialRobot(settings, scene, start)
-        carried = settings.kind == "aerial" and any(robot.kind == "ground" for robot in config.robots)
+            self.body = AerialRobot(settings, scene, start, seed, log, config.mission.area_m)
+        carried = config.carries(settings)
         self.localisation, frame = localised(poses, settings, self.body.pose, seed, carried=carried)
         self.core = RobotCore(config, settings, seed, self.body.pose, log, time.perf_counter, planner, frame)
-        self.believed = self.body.pose
-        """Where the core thought the body to be in its last step."""
         self.pose_error_m = self.worst_pose_error_m = 0.0
         """Distance between where the core believes the body to be and where it is: now, and at most."""
         self.inbox: list[bytes] = []
@@ -72,7 +68,8 @@ class Agent:
 
     @property
     def carried(self) -> bool:
-        return isinstance(self.body, AerialRobot) and self.body.attached
+        """Whether it stands on its carrier, held by the bracket or not."""
+        return isinstance(self.body, AerialRobot) and self.body.aboard
 
     def box(self) -> Body:
         """Centre and size of the body, as other robots' LiDARs see it."""
@@ -88,34 +85,39 @@ class Agent:
         self._next_scan_s = now_s + self._scan_period_s
         return self._lidar.scan(self.core.sensing.sensor_pose(self.pose), now_s, others)
 
-    def think(self, now_s: float, dt_s: float, scan: Scan | None) -> Outputs:
+    def think(
+        self, now_s: float, dt_s: float, scan: Scan | None, brackets: Mapping[int, BracketState]
+    ) -> Outputs:
         """One cycle of the core on what the sensors say, `dt_s` after the one before."""
         self.localisation.moved(self.pose, dt_s)
         if scan is not None:
             self.localisation.scanned(scan)
         frames, self.inbox = tuple(self.inbox), []
-        inputs = Inputs(now_s, self.localisation.told(), self.body.battery_left, scan, frames)
+        told, charge = self.localisation.told(), self.body.battery_left
+        if isinstance(self.body, AerialRobot):
+            inputs = Inputs(now_s, told, charge, scan, frames, flight=self.body.report)
+        else:
+            base = self.body.odometry
+            inputs = Inputs(now_s, told, charge, scan, frames, base=base, brackets=brackets)
         outputs = self.core.step(inputs)
-        self.believed = self.core.team.frame.pose(inputs.told)
-        if not self.carried:
-            self.pose_error_m = float(np.linalg.norm(self.believed.position - self.pose.position))
+        if self.core.phase not in ABOARD:
+            self.pose_error_m = float(np.linalg.norm(outputs.pose.position - self.pose.position))
             self.worst_pose_error_m = max(self.worst_pose_error_m, self.pose_error_m)
         return outputs
 
     def move(self, now_s: float, dt_s: float, outputs: Outputs) -> None:
-        """Move the body as commanded, in directions as the core believes them to be."""
-        if isinstance(self.body, WalkedBase):
-            facts = BaseFacts(now_s=now_s, phase=self.core.phase, bracket=NO_BRACKET, departed=True)
-            self.body.step(now_s, dt_s, outputs.velocity, self.believed, facts)
+        """Let the body live on with what the core has said."""
+        if isinstance(self.body, AerialRobot):
+            self.body.step(now_s, dt_s, outputs)
         else:
-            turn = Pose.from_rpy(np.zeros(3), yaw_rad=self.pose.yaw - self.believed.yaw)
-            self.body.step(dt_s, turn.rotation @ outputs.velocity.linear, outputs.velocity.yaw_rate)
+            assert outputs.walk is not None
+            self.body.step(now_s, dt_s, outputs.velocity, outputs.pose, outputs.walk)
         x, y, z = self.pose.position
         self.path.append((now_s, float(x), float(y), float(z)))
 
     def finished(self) -> bool:
         """Whether this robot has nothing more to do."""
-        return self.core.phase == Phase.DONE or self.carried
+        return self.core.phase == Phase.DONE or self.core.phase in ABOARD
 
 
 def localised(

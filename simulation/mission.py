@@ -2,29 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from drivers.bracket_wire import load_wire
 from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.localization.bracket import bracket_of, carried_pose
 from onboard.mapping.voxel_map import VoxelMap
+from onboard.mission import Phase
 from onboard.planning.explorer import Explorer
 from onboard.robot.core import PlannerFactory
+from onboard.robot.interface import BracketState
 from onboard.robot.sensing import CLEARING_M
 from simulation.aerial_robot import AerialRobot
 from simulation.agent import Agent, launch_pose
 from simulation.bodies import ContactCounter
 from simulation.localisation import Poses
 from simulation.radio import Radio
+from simulation.release import ReleaseRig
 from simulation.scene import Scene
 from simulation.worlds import World
 
 TICK_S = 0.1
-SEPARATION_S = 5.0
-"""After a release, contact between the two robots counts as a collision from this time on."""
+SEPARATION_S = 3.0
+"""So long after it has left its carrier, contact of a robot with another one counts as a collision."""
+LANDING_S = 40.0
+"""A robot that is coming down when the time is over does so."""
 
 EventSink = Callable[..., None]
 
@@ -53,8 +59,13 @@ class Mission:
         self.now_s = 0.0
         self.ticks = 0
         self._events = events
+        self._wire = load_wire()
         self._start = Pose.from_rpy(world.start, yaw_rad=world.start_yaw_rad)
         self.agents = [self._make(settings, scene, seed, planner, poses) for settings in config.robots]
+        self.rigs = {
+            agent.settings.id: self._rig(agent) for agent in self.agents if config.carries(agent.settings)
+        }
+        """Brackets by the ids of the robots that begin in them."""
         self.by_id = {agent.settings.id: agent for agent in self.agents}
         self.carriers = [agent for agent in self.agents if agent.settings.kind == "ground"]
         self.lead = self.carriers[0] if self.carriers else self.agents[0]
@@ -63,7 +74,6 @@ class Mission:
         # what a perfect sensor would have built along the same paths: only the final score reads it
         self.reference = VoxelMap(config.map.voxel_m, config.map.max_range_m)
         self._contacts = ContactCounter()
-        self._released_s: dict[int, float] = {}
         self.meetings = 0
         self.deployment: dict[str, Any] | None = None
         self.seed = seed
@@ -77,15 +87,18 @@ class Mission:
         start = self._start
         if settings.kind == "aerial":
             start = launch_pose(start, self.config, bracket_of(settings.id, self.config.robots))
-        agent = Agent(self.config, settings, scene, seed, start, log, planner, poses)
-        carried = any(robot.kind == "ground" for robot in self.config.robots)
-        if isinstance(agent.body, AerialRobot) and not carried:
-            agent.body.release()
-        return agent
+        return Agent(self.config, settings, scene, seed, start, log, planner, poses)
+
+    def _rig(self, agent: Agent) -> ReleaseRig:
+        assert isinstance(agent.body, AerialRobot)
+        agent.body.attached = True
+        return ReleaseRig(self._wire, agent.settings.id)
 
     def done(self) -> bool:
         """Whether every robot has finished or the time is over."""
-        over = self.now_s >= self.config.mission.duration_s - 1e-9
+        late_s = self.now_s - self.config.mission.duration_s
+        landing = any(agent.core.phase == Phase.LANDING for agent in self.agents)
+        over = late_s >= (LANDING_S if landing else 0.0) - 1e-9
         return over or all(agent.finished() for agent in self.agents)
 
     def tick(self) -> None:
@@ -93,14 +106,15 @@ class Mission:
         positions = {agent.settings.id: agent.pose.position for agent in self.agents}
         for _, target, frame in self.radio.deliver(self.now_s, positions):
             self.by_id[target].inbox.append(frame)
+        brackets = {robot: rig.state for robot, rig in self.rigs.items()}
         for agent in self.agents:
-            self._tick_agent(agent)
+            self._tick_agent(agent, brackets)
         self._carry()
         self._count_meetings()
         self.ticks += 1
         self.now_s = self.ticks * TICK_S
 
-    def _tick_agent(self, agent: Agent) -> None:
+    def _tick_agent(self, agent: Agent, brackets: Mapping[int, BracketState]) -> None:
         others = [other.box() for other in self.agents if other is not agent]
         scans = agent.scan(self.now_s, others)
         if scans is not None:
@@ -111,37 +125,33 @@ class Mission:
                 sensor,
                 min_range_m=perfect.model.min_range_m,
             )
-        outputs = agent.think(self.now_s, TICK_S, None if scans is None else scans[0])
+        outputs = agent.think(self.now_s, TICK_S, None if scans is None else scans[0], brackets)
         for target, frame in outputs.frames:
             self.radio.send(self.now_s, agent.settings.id, target, frame)
-        if outputs.release:
-            self._open_bracket()
+        if agent is self.lead:
+            for robot, rig in self.rigs.items():
+                rig.step(self.now_s, TICK_S, permitted=outputs.release == robot)
         before = agent.body.collisions
         agent.move(self.now_s, TICK_S, outputs)
         if agent.body.collisions > before:
             place = [round(float(value), 2) for value in agent.pose.position]
             self._events(round(self.now_s, 3), "collision", robot=agent.name, position=place)
 
-    def _open_bracket(self) -> None:
-        """The bracket lets go of the next carried robot."""
-        for agent in self.agents:
-            if isinstance(agent.body, AerialRobot) and agent.body.attached:
-                agent.body.release()
-                self._released_s[agent.settings.id] = self.now_s
-                return
-
     def _carry(self) -> None:
-        for agent in self.agents:
-            if isinstance(agent.body, AerialRobot) and agent.body.attached:
-                place = bracket_of(agent.settings.id, self.config.robots)
-                height_m = self.lead.settings.size_m[2]
-                agent.body.carry(carried_pose(self.lead.pose, height_m, self.config.bracket, place))
+        """Who begins on the carrier's back goes with it until it flies off; the latch allows that or not."""
+        for robot, rig in self.rigs.items():
+            body = self.by_id[robot].body
+            assert isinstance(body, AerialRobot)
+            body.attached = rig.holds
+            place = bracket_of(robot, self.config.robots)
+            height_m = self.lead.settings.size_m[2]
+            body.carry(carried_pose(self.lead.pose, height_m, self.config.bracket, place))
 
     def _count_meetings(self) -> None:
         """Contact between a flying robot and the body of another robot."""
         for flyer in self.agents:
-            released_s = self._released_s.get(flyer.settings.id)
-            if released_s is None or self.now_s - released_s < SEPARATION_S:
+            left_s = flyer.body.left_s if isinstance(flyer.body, AerialRobot) else None
+            if left_s is None or self.now_s - left_s < SEPARATION_S:
                 continue
             for other in self.agents:
                 if other is flyer:

@@ -10,10 +10,12 @@ from numpy.typing import NDArray
 from onboard.mapping.compare import compare_maps
 from onboard.mapping.union import union_count
 from onboard.mapping.voxel_map import OWN, VoxelMap
-from onboard.mission import AT_REGROUP, Phase
+from onboard.mission import ABOARD, AT_REGROUP, Phase
 from simulation.agent import Agent
 from simulation.mission import Mission
 from simulation.truth import Truth
+
+FINISHED = frozenset({Phase.LANDING, Phase.DONE})
 
 
 def volume_m3(mission: Mission, agents: list[Agent]) -> float:
@@ -64,7 +66,7 @@ def metrics(mission: Mission, truth: Truth, wall_s: float) -> dict[str, Any]:
 
 def is_complete(mission: Mission) -> bool:
     """Whether every robot is at the regrouping point and all keyframes have been exchanged."""
-    return all(agent.core.phase == Phase.DONE or agent.carried for agent in mission.agents)
+    return all(agent.core.phase in FINISHED or agent.carried for agent in mission.agents)
 
 
 def coverage(mission: Mission, truth: Truth) -> float:
@@ -84,7 +86,7 @@ def _robot(mission: Mission, agent: Agent) -> dict[str, Any]:
     core, body = agent.core, agent.body
     plans = core.profile.times_ms.get("plan", [])
     maps = core.profile.times_ms.get("map", [])
-    home = core.phase in AT_REGROUP - {Phase.CARRIED}
+    home = core.phase in AT_REGROUP - ABOARD
     return {
         "explored_m3": round(volume_m3(mission, [agent]), 2),
         "path_m": round(body.path_m, 2),

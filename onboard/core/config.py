@@ -220,6 +220,10 @@ class Config(Section):
     radio: RadioSettings = RadioSettings()
     robots: Annotated[tuple[RobotSettings, ...], Field(min_length=1)]
 
+    def carries(self, robot: RobotSettings) -> bool:
+        """Whether somebody in the team carries this robot at first."""
+        return robot.kind == "aerial" and any(other.kind == "ground" for other in self.robots)
+
     def robot(self, name: str) -> RobotSettings:
         """The robot called `name`. Raises ConfigError for an unknown one."""
         for robot in self.robots:

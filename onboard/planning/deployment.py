@@ -8,6 +8,7 @@ every second in the bracket is flight time that can never be used.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,7 +21,8 @@ from onboard.planning.aerial_graph import AerialGraph
 from onboard.planning.body import Body
 from onboard.planning.local_graph import FloatArray, thin
 
-MAX_TILT_RAD = 0.14
+MAX_TILT_RAD = math.radians(4.5)
+"""The gate of the release refuses from 5 degrees on."""
 TAKE_OFF_M = 0.6
 """Height of the take-off point above the carrier's back."""
 

@@ -3,6 +3,7 @@ meet."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 
 import numpy as np
@@ -19,10 +20,12 @@ from onboard.planning.plan import Plan
 from onboard.planning.regroup import Acceptor, thinned
 from onboard.planning.relocation import Moved
 from onboard.robot.cloud_offer import CloudOffer
-from onboard.robot.handover import HandOver, Outcome
-from onboard.robot.interface import Inputs
+from onboard.robot.handover import HandOver, Outcome, Stance, Standing
+from onboard.robot.interface import BracketState, FlightOrders, Inputs
 from onboard.robot.localised import Localised
 from onboard.robot.roles import Team, vector
+from onboard.safety import BRACKET_AT_REST, NO_BRACKET
+from onboard.safety_facts import BaseFacts
 from onboard.sharing.messages import Ack, Commit, Located, Message, Missing, Propose, Times, TravelTime
 
 RETRY_S = 120.0
@@ -34,7 +37,6 @@ DOUBT_WAIT_S = 20.0
 class Carrier:
     """Role of a ground robot with any number of aerial robots aboard, released one after the other."""
 
-    release = False
     located = True
     searching = False
 
@@ -51,6 +53,8 @@ class Carrier:
         self._offer: CloudOffer | None = None
         if team.config.deployment.colocalise:
             self._offer = CloudOffer(team.link, team.config.radio.rate_bytes_s)
+        self._standing = Standing()
+        self._brackets: Mapping[int, BracketState] = {}
         self._not_before_s = 0.0
         self._times_sent_s = -np.inf
         self._decision: Decision | None = None
@@ -69,8 +73,36 @@ class Carrier:
     def regroup_point(self) -> FloatArray | None:
         return self._acceptor.points[0]
 
+    @property
+    def release(self) -> int | None:
+        """The robot whose bracket may open now."""
+        return None if self._hand_over is None else self._hand_over.release
+
+    def flight(self) -> FlightOrders:
+        """It does not fly."""
+        return FlightOrders()
+
+    def walk(self, now_s: float, phase: Phase) -> BaseFacts:
+        """For the gate of the base: a bracket that holds a robot must be at rest."""
+        states = [self._state_of(robot) for robot in self._aboard]
+        worst = next((state for state in states if state not in BRACKET_AT_REST), "LOCKED")
+        opened = self._hand_over is not None and self._hand_over.opened_s is not None
+        return BaseFacts(
+            now_s=now_s,
+            phase=phase,
+            bracket=worst if self._aboard else NO_BRACKET,
+            bracket_empty=not self._aboard,
+            departed=not opened,
+        )
+
+    def _state_of(self, robot: RobotSettings) -> str:
+        bracket = self._brackets.get(robot.id)
+        return "" if bracket is None else bracket.state
+
     def sensed(self, phase: Phase, inputs: Inputs, pose: Pose) -> None:
-        """Keep what the LiDAR sees around the carrier for whoever is aboard."""
+        """Keep how the base stands and what the LiDAR sees around the carrier for whoever is aboard."""
+        self._standing.sensed(inputs.base)
+        self._brackets = inputs.brackets
         if self._offer is not None and self._aboard and inputs.scan is not None:
             self._offer.saw(inputs.scan, self._team.sensing.sensor_pose(pose))
 
@@ -172,12 +204,16 @@ class Carrier:
     def _deploy(self, now_s: float, pose: Pose) -> Outcome:
         """Go on with the deployment; its end changes who is aboard or when the next try is due."""
         assert self._hand_over is not None
-        outcome = self._hand_over.step(now_s, pose)
-        self.release = self._hand_over.release
+        bracket = self._brackets.get(self._hand_over.robot.id)
+        standing = self._standing
+        stance = Stance(now_s, pose, standing.odometry_s, standing.since_s, bracket)
+        outcome = self._hand_over.step(stance)
         if self._offer is not None:
             self._offer.step(now_s)
             if outcome != Outcome.UNDER_WAY:
                 self._offer.end()
+        if outcome != Outcome.UNDER_WAY:
+            self._hand_over = None
         if outcome == Outcome.DONE:
             self._deployed += self._aboard[:1]
             self._aboard = self._aboard[1:]

@@ -9,7 +9,8 @@ import numpy as np
 
 from onboard.core.config import Config, MapSettings, RobotSettings
 from onboard.core.geometry import Pose
-from onboard.mission import Facts, Phase, next_phase
+from onboard.mapping.room import room
+from onboard.mission import ABOARD, Facts, Phase, next_phase
 from onboard.planning.air_space import Area
 from onboard.planning.cycle import TOO_LATE
 from onboard.planning.deployment import flight_time
@@ -18,6 +19,7 @@ from onboard.planning.follower import HALT, Velocity
 from onboard.planning.homing import stop_short
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan, described
+from onboard.robot.arrival import Arrival
 from onboard.robot.carrier import Carrier
 from onboard.robot.flyer import Flyer
 from onboard.robot.interface import Inputs, Log, Outputs, Profile
@@ -31,16 +33,15 @@ from onboard.robot.soloist import Soloist
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import Bids, Corrections, Message, Status
 
-START_DISC_M = 3.0
-"""The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets
-it there."""
 RETURN_CHECK_S = 1.0
 IDLE_CYCLES = 3
 LOOK_AGAIN_S = 10.0
-LINGER_S = 3.0
-"""Who has been near the meeting point for so long has arrived: others may keep it from the very place."""
 WORTH_RESUMING_M3 = 10.0
 MOVING = frozenset({Phase.CARRYING, Phase.EXPLORING})
+STILL = ABOARD | {Phase.DEPLOYING, Phase.TAKING_OFF, Phase.DONE}
+"""Phases in which the planner moves nothing: a take-off is the autopilot's."""
+AHEAD_S = 0.4
+"""The room around the place where a flying robot will be after this is what its setpoints are judged by."""
 
 PlannerFactory = Callable[[RobotSettings, MapSettings, int, Area | None], Explorer]
 """Makes the planner of a robot from its settings, the map's, the seed and the area to explore."""
@@ -79,30 +80,25 @@ class RobotCore:
         self._idle = 0
         self._return_checked_s = -np.inf
         self._must_return = False
-        self._near_since_s = np.inf
+        self._arrival = Arrival(settings, config.mission.regroup_radius_m)
         self._way_told = (False, False)
         self._looked_s = -np.inf
+        self._epoch = 0
         if settings.kind == "ground":
-            self._stand_at(start)
+            self.explorer.begin(start.position, start.yaw)
+            self.sensing.assume_floor(start.position)
 
     def _role(self, seed: int, start: Pose) -> Role:
         if self.settings.kind == "ground":
             return Carrier(self.team, seed, start)
-        carried = any(peer.kind == "ground" for peer in self.team.peers)
-        return Flyer(self.team) if carried else Soloist(self.team, start)
-
-    def _stand_at(self, start: Pose) -> None:
-        self.explorer.begin(start.position, start.yaw)
-        steps = np.arange(-START_DISC_M, START_DISC_M, 0.1)
-        grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
-        disc = grid[np.hypot(*grid.T) <= START_DISC_M]
-        floor = start.position + np.column_stack([disc, np.full(len(disc), -0.02)])
-        self.explorer.map.assume_occupied(floor)
+        return Flyer(self.team) if self.team.config.carries(self.settings) else Soloist(self.team, start)
 
     def step(self, inputs: Inputs) -> Outputs:
         """One control cycle (10 Hz)."""
         now_s, pose = inputs.now_s, self.team.frame.pose(inputs.told)
+        located = self.role.located
         self.role.sensed(self.phase, inputs, pose)
+        self._epoch += located != self.role.located
         frames = self.link.step(now_s, inputs.frames)
         for source, message in self.link.take_messages():
             self._heard(now_s, source, message, pose)
@@ -114,7 +110,23 @@ class RobotCore:
         velocity = self._move(now_s, pose)
         self.role.tick(now_s, self.phase, pose)
         self.link.set_status(self._status(inputs, pose))
-        return Outputs(velocity, self.role.release, frames)
+        return Outputs(
+            self.team.frame.pose(inputs.told),
+            velocity,
+            self.role.release,
+            frames,
+            self._epoch,
+            self.role.flight(),
+            self._room_m(pose, velocity),
+            self.role.walk(now_s, self.phase),
+        )
+
+    def _room_m(self, pose: Pose, velocity: Velocity) -> float:
+        """Distance to what is occupied where a flying robot will be in a moment."""
+        if self.settings.kind != "aerial" or self.phase in STILL:
+            return 0.0
+        ahead = pose.position + AHEAD_S * velocity.linear
+        return float(room(self.explorer.map, ahead[None])[0])
 
     def _heard(self, now_s: float, source: int, message: Message, pose: Pose) -> None:
         if isinstance(message, Bids):
@@ -133,13 +145,14 @@ class RobotCore:
             mapper.draw(scan, told, self.phase)
         moved = mapper.step(inputs.now_s)
         if moved is not None:
+            self._epoch += 1
             self.role.redrawn(moved)
             self.motion.adopt(inputs.now_s - 10.0, None)
         return frame.pose(told)
 
     def maps(self) -> bool:
-        """A carried robot maps once its carrier has begun to hand over and its own place is known."""
-        return self.phase != Phase.CARRIED or (len(self.link.store) > 0 and self.role.located)
+        """A robot aboard maps once its carrier has begun to hand over and its own place is known."""
+        return self.phase not in ABOARD or (len(self.link.store) > 0 and self.role.located)
 
     def looks(self) -> bool:
         """Whether scans are wanted."""
@@ -209,20 +222,11 @@ class RobotCore:
 
     def _arrived(self, now_s: float, pose: Pose) -> bool:
         target = self.explorer.budget.back_to
-        if target is None or self.phase not in (Phase.RETURNING, Phase.WAITING):
-            self._near_since_s = now_s
-            return False
-        radius = self.team.config.mission.regroup_radius_m
-        distance = float(np.linalg.norm(pose.position - target))
-        settled = self.phase == Phase.WAITING or (self.motion.plan is not None and self.motion.at_end(pose))
-        close = self.settings.kind == "ground" and distance <= radius / 2
-        if distance > radius:
-            self._near_since_s = now_s
-        lingering = now_s - self._near_since_s > LINGER_S
-        return distance <= radius and (settled or close or lingering)
+        at_end = self.phase == Phase.RETURNING and self.motion.plan is not None and self.motion.at_end(pose)
+        return self._arrival.at(now_s, self.phase, pose.position, target, at_end=at_end)
 
     def _move(self, now_s: float, pose: Pose) -> Velocity:
-        if self.phase in (Phase.CARRIED, Phase.DEPLOYING, Phase.DONE):
+        if self.phase in STILL:
             return HALT
         if self.phase == Phase.WAITING:
             return self._gated(now_s, pose, HALT)
@@ -236,7 +240,7 @@ class RobotCore:
 
     def _gated(self, now_s: float, pose: Pose, velocity: Velocity) -> Velocity:
         """The command of a flying robot after the gate that keeps it clear of the others."""
-        if self.settings.kind != "aerial" or self.phase == Phase.TAKING_OFF:
+        if self.settings.kind != "aerial":
             return velocity
         others, braking_m_s2 = self.team.others(now_s), self.settings.acceleration_m_s2
         return keep_clear(velocity, pose.position, others, self._may_fly_to, braking_m_s2)
@@ -246,7 +250,7 @@ class RobotCore:
 
     def _plan(self, now_s: float, pose: Pose) -> Plan | None:
         insisted: Plan | None = self.role.plan(now_s, self.phase, pose)
-        if insisted is not None:
+        if insisted is not None or self.phase == Phase.LANDING:
             return insisted
         if self.phase == Phase.RETURNING:
             return self._plan_return(pose)

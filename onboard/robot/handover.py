@@ -3,24 +3,67 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from enum import Enum, auto
 
 import numpy as np
 
+from onboard.core.base import BaseOdometry
 from onboard.core.config import RobotSettings
 from onboard.core.geometry import Pose
 from onboard.mission import FLYING, Phase
-from onboard.planning.deployment import MAX_TILT_RAD, AerialOutlook, tilt
+from onboard.planning.deployment import AerialOutlook, tilt
 from onboard.planning.local_graph import FloatArray
+from onboard.robot.interface import BracketState
 from onboard.robot.localised import Veto
 from onboard.robot.roles import Team, vector
-from onboard.sharing.messages import Release, Target
+from onboard.safety import allow_release, departed, still_since
+from onboard.safety_facts import ReleaseFacts, Token
+from onboard.sharing.messages import Release, Status, Target
 
-CLEAR_M = 2.0
-NO_CONTACT_S = 60.0
-CLEAR_TIMEOUT_S = 20.0
-STANDING_M_S = 0.05
+GIVE_UP_S = 60.0
+LINGERS_S = 30.0
+SILENT_S, ALOFT_M = 20.0, 0.3
+"""Who was this far above its bracket when it was heard last, and then not for so long, is away."""
+LOST_S = 120.0
+"""Who is silent for so long is given up for lost, wherever it was: the carrier has to come home."""
 REPEAT_S = 1.0
+AVERAGE_S = 0.2
+OPENING = frozenset({"RELEASING", "RELEASED"})
+
+
+@dataclass(frozen=True, eq=False)
+class Stance:
+    """How the carrier stands and what its bracket says: readings of one step."""
+
+    now_s: float
+    pose: Pose
+    odometry_s: float | None = None
+    still_since_s: float | None = None
+    bracket: BracketState | None = None
+
+
+class Standing:
+    """Since when the carrier has stood still, by its base's own odometry, whose noise is averaged away."""
+
+    def __init__(self) -> None:
+        self.odometry_s: float | None = None
+        self.since_s: float | None = None
+        self._speed: FloatArray = np.zeros(3)
+        self._turn = 0.0
+
+    def sensed(self, odometry: BaseOdometry | None) -> None:
+        """The newest odometry, if there is any."""
+        if odometry is None or odometry.stamp_s == self.odometry_s:
+            return
+        now_s = odometry.stamp_s
+        last_s = now_s - AVERAGE_S if self.odometry_s is None else self.odometry_s
+        share = 1.0 - np.exp((last_s - now_s) / AVERAGE_S)
+        self._speed = self._speed + (odometry.linear_m_s - self._speed) * share
+        self._turn += (float(odometry.angular_rad_s[2]) - self._turn) * share
+        speed = float(np.linalg.norm(self._speed))
+        self.since_s = still_since(self.since_s, last_s, now_s, speed, self._turn)
+        self.odometry_s = now_s
 
 
 class Outcome(Enum):
@@ -32,9 +75,9 @@ class Outcome(Enum):
 
 
 class HandOver:
-    """The carrier's side of one deployment. `release` is true in the step in which the bracket shall open.
+    """The carrier's side of one deployment. `release` names the robot while its bracket may open.
 
-    `veto` says why it must not open, if anything speaks against it.
+    `veto` says why it must not be released, if its co-localisation speaks against it.
     """
 
     def __init__(
@@ -47,14 +90,15 @@ class HandOver:
         veto: Callable[[float], Veto | None],
     ) -> None:
         self.robot = robot
-        self.release = False
+        self.release: int | None = None
+        self.opened_s: float | None = None
         self._team = team
         self._veto = veto
         self._regroup = regroup
         self._since_s = now_s
-        self._released_s: float | None = None
         self._repeated_s = -np.inf
-        self._last: tuple[float, FloatArray] | None = None
+        self._refusal = ""
+        self._lingers = False
         targets = [vector(target) for target in outlook.targets]
         self._target = Target(targets[0], tuple(targets[1:]))
         first = max(0, len(team.keyframe_positions) - team.config.deployment.keyframes_sent)
@@ -67,55 +111,90 @@ class HandOver:
             keyframes_from=first,
         )
 
-    def step(self, now_s: float, pose: Pose) -> Outcome:
-        """One control cycle of a carrier that stands still at `pose`."""
-        self.release = False
-        if self._released_s is None:
-            return self._share(now_s, pose)
-        return self._see_off(now_s, pose)
+    def step(self, stance: Stance) -> Outcome:
+        """One control cycle of a carrier that has been told to stand still."""
+        self.release = None
+        bracket = stance.bracket
+        if self.opened_s is None and bracket is not None and bracket.is_open:
+            self.opened_s = stance.now_s
+            self._repeated_s = -np.inf
+            self._team.log("release", deployed=self.robot.name)
+        return self._share(stance) if self.opened_s is None else self._see_off(stance)
 
-    def _share(self, now_s: float, pose: Pose) -> Outcome:
-        """Nothing is let go from a carrier that moves or leans, nor without contact.
-
-        A robot that hears nothing would not know that it is free.
-        """
-        link = self._team.link
-        steady = self._steady(now_s, pose)
-        if not link.in_contact(self.robot.id, now_s) or not steady:
-            why = (
-                "the carrier does not stand level"
-                if not steady
-                else "no contact with the aerial robot aboard"
-            )
-            return self._abort(why) if now_s - self._since_s > NO_CONTACT_S else Outcome.UNDER_WAY
+    def _share(self, stance: Stance) -> Outcome:
+        """Target and map first, then the gate; what it refuses may still come, but not for ever."""
+        now_s, link = stance.now_s, self._team.link
         if self._repeat(now_s):
             link.post(self._target, self.robot.id)
         veto = self._veto(now_s)
-        if veto is not None:
-            late = now_s - self._since_s > NO_CONTACT_S
-            return self._abort(veto.words) if veto.final or late else Outcome.UNDER_WAY
-        if link.unshared(self.robot.id) == 0 and now_s - self._since_s > REPEAT_S:
-            self._released_s, self.release = now_s, True
-            self._team.log("release", deployed=self.robot.name)
+        refusal = self._refused(stance, colocalised=veto is None)
+        if veto is not None and veto.final:
+            return self._abort(veto.words)
+        if stance.bracket is not None and stance.bracket.reason:
+            return self._abort(stance.bracket.reason)
+        if refusal == "":
+            self.release = self.robot.id
+        elif now_s - self._since_s > GIVE_UP_S:
+            return self._abort(veto.words if veto is not None else refusal)
+        self._tell(refusal, stance.bracket)
         return Outcome.UNDER_WAY
 
-    def _see_off(self, now_s: float, pose: Pose) -> Outcome:
-        status = self._team.link.peer_status(self.robot.id)
-        flying = status is not None and Phase(status.phase) in FLYING
-        if not flying and self._repeat(now_s):
-            self._team.link.post(Release(vector(self._regroup)), self.robot.id)
-            self._team.link.post(self._target, self.robot.id)
-        away = 0.0 if status is None else float(np.linalg.norm(np.array(status.position_m) - pose.position))
-        assert self._released_s is not None
-        late = now_s - self._released_s > CLEAR_TIMEOUT_S
-        return Outcome.DONE if (flying and away > CLEAR_M) or late else Outcome.UNDER_WAY
+    def _refused(self, stance: Stance, *, colocalised: bool) -> str:
+        """Why the bracket must not open now, "" for no reason."""
+        link, robot, now_s = self._team.link, self.robot.id, stance.now_s
+        if not link.in_contact(robot, now_s):
+            return "no contact with the aerial robot aboard"
+        if link.unshared(robot) or now_s - self._since_s <= REPEAT_S:
+            return "map is being sent"
+        status, bracket = link.peer_status(robot), stance.bracket
+        return allow_release(
+            ReleaseFacts(
+                now_s=now_s,
+                robot=robot,
+                # the trigger stands behind it for as long as the deployment goes on
+                token=Token("trigger", robot, now_s),
+                phase=Phase.DEPLOYING,
+                still_since_s=stance.still_since_s,
+                base_stamp_s=stance.odometry_s,
+                tilt_rad=tilt(stance.pose),
+                aerial_ready=status is not None and status.phase == Phase.READY,
+                aerial_stamp_s=None if status is None else status.stamp_s,
+                colocalised=colocalised,
+                bracket=None if bracket is None else bracket.state,
+                bracket_stamp_s=None if bracket is None else bracket.heartbeat_s,
+            )
+        ).reason
 
-    def _steady(self, now_s: float, pose: Pose) -> bool:
-        last, self._last = self._last, (now_s, pose.position)
-        if last is None or now_s <= last[0]:
-            return False
-        speed = float(np.linalg.norm(pose.position - last[1])) / (now_s - last[0])
-        return speed < STANDING_M_S and tilt(pose) <= MAX_TILT_RAD
+    def _tell(self, refusal: str, bracket: BracketState | None) -> None:
+        fired = bracket is not None and bracket.state in OPENING
+        if refusal != self._refusal and not fired:
+            self._refusal = refusal
+            self._team.log("release_gate", allowed=refusal == "", reason=refusal)
+
+    def _see_off(self, stance: Stance) -> Outcome:
+        """Say that the way is free, as long as the carrier stands, until the robot is far enough away."""
+        now_s, link = stance.now_s, self._team.link
+        status = link.peer_status(self.robot.id)
+        if stance.still_since_s is not None and self._repeat(now_s):
+            link.post(Release(vector(self._regroup)), self.robot.id)
+            link.post(self._target, self.robot.id)
+        if status is not None and self._gone(stance, status):
+            return Outcome.DONE
+        assert self.opened_s is not None
+        if now_s - self.opened_s > LINGERS_S and not self._lingers:
+            self._lingers = True
+            self._team.log("lingers", deployed=self.robot.name)
+        return Outcome.UNDER_WAY
+
+    def _gone(self, stance: Stance, status: Status) -> bool:
+        """Far enough away by its own word; or in the air when it was heard last, and out of reach since."""
+        offset = np.array(status.position_m) - stance.pose.position
+        flies = status.phase in FLYING
+        bracket_m = self._team.settings.size_m[2] + self._team.config.bracket.height_m
+        aloft = flies and offset[2] > bracket_m + ALOFT_M
+        if stance.now_s - status.stamp_s > (SILENT_S if aloft else LOST_S):
+            return True
+        return flies and departed(float(np.linalg.norm(offset)), float(offset[2]))
 
     def _abort(self, reason: str) -> Outcome:
         self._team.link.set_sharing(self.robot.id, False)

@@ -6,7 +6,7 @@ import numpy as np
 
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
-from onboard.mission import Phase
+from onboard.mission import ABOARD, Phase
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.relocation import relocate
 from onboard.robot.corrections import from_message, to_message
@@ -27,7 +27,7 @@ class Mapper:
         """An own scan from which the other robots' bodies have been taken out."""
         team, pose = self._team, self._team.frame.pose(told)
         team.profile.timed("map", team.sensing.integrate, scan, pose)
-        if phase == Phase.CARRIED:
+        if phase in ABOARD:
             return
         sequence = self._keyframe(scan, pose) if team.sensing.keyframe_due(scan, pose) else None
         team.profile.timed("poses", self._team.frame.scan, scan, told, sequence)

@@ -11,16 +11,17 @@ from onboard.core.config import Config, RobotSettings
 from onboard.core.geometry import Pose
 from onboard.core.lidar import Scan
 from onboard.localization.bracket import bracket_of, carried_pose
-from onboard.mission import AT_REGROUP, FLYING, Facts, Phase
+from onboard.mission import ABOARD, AT_REGROUP, FLYING, Facts, Phase, phase_of
 from onboard.planning.explorer import Explorer
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.plan import Plan
 from onboard.planning.relocation import Moved
 from onboard.planning.worth import PeerGoal
 from onboard.robot.bidding import Bidding
-from onboard.robot.interface import Inputs, Log, Profile
+from onboard.robot.interface import FlightOrders, Inputs, Log, Profile
 from onboard.robot.map_frame import Given, MapFrame
 from onboard.robot.sensing import Sensing
+from onboard.safety_facts import BaseFacts
 from onboard.sharing import LinkCore
 from onboard.sharing.messages import Message, Status, Vector
 
@@ -68,7 +69,7 @@ class Team:
     def peer_phase(self, peer: int) -> Phase | None:
         """Phase in the newest beacon of a peer."""
         status = self.link.peer_status(peer)
-        return None if status is None else Phase(status.phase)
+        return phase_of(status.phase) if status is not None else None
 
     def peers_arrived(self, now_s: float) -> bool:
         """Whether all peers are in contact and say that they are at the regrouping point."""
@@ -76,9 +77,7 @@ class Team:
 
     def all_shared(self) -> bool:
         """Whether all peers that have left their carrier have acknowledged all keyframes."""
-        return all(
-            self.link.unshared(peer) == 0 or self.peer_phase(peer) == Phase.CARRIED for peer in self.peer_ids
-        )
+        return all(self.link.unshared(peer) == 0 or self.peer_phase(peer) in ABOARD for peer in self.peer_ids)
 
     def all_received(self) -> bool:
         """Whether every keyframe that the peers say they made has arrived here."""
@@ -102,7 +101,7 @@ class Team:
 
     def exploring_peers(self) -> list[int]:
         """Peers that explore by themselves, whether in contact or not."""
-        return [peer for peer in self.peer_ids if self.peer_phase(peer) not in (None, Phase.CARRIED)]
+        return [peer for peer in self.peer_ids if self.peer_phase(peer) not in {None, *ABOARD}]
 
     def peer_goals(self, now_s: float) -> list[PeerGoal]:
         """Places that peers are heading for and, in teams of more than two, have won in the auction.
@@ -124,7 +123,7 @@ class Team:
             status = self.link.peer_status(peer.id)
             if status is None or not self.link.in_contact(peer.id, now_s):
                 continue
-            if peer.kind == "aerial" and Phase(status.phase) not in FLYING:
+            if peer.kind == "aerial" and status.phase not in FLYING:
                 continue
             lift = peer.size_m[2] / 2 if peer.kind == "ground" else 0.0
             centre = np.array(status.position_m) + np.array([0.0, 0.0, lift])
@@ -149,7 +148,7 @@ class Team:
     def _centre(self, peer: RobotSettings, status: Status, pose: Pose) -> FloatArray:
         """Centre (3,) of a peer's body; one aboard may not know, its carrier at `pose` does."""
         config = self.config
-        aboard = self.settings.kind == "ground" and Phase(status.phase) == Phase.CARRIED
+        aboard = self.settings.kind == "ground" and status.phase in ABOARD
         if aboard and config.deployment.colocalise:
             place = bracket_of(peer.id, config.robots)
             centre = carried_pose(pose, self.settings.size_m[2], config.bracket, place)
@@ -162,7 +161,11 @@ class Role(Protocol):
     """The part of a mission that differs between robots."""
 
     first_phase: Phase
-    release: bool
+
+    @property
+    def release(self) -> int | None:
+        """The robot whose bracket may open in this step."""
+        ...
 
     @property
     def located(self) -> bool:
@@ -183,6 +186,14 @@ class Role(Protocol):
         """The map has been drawn anew: `moved` tells where places of the old one are."""
         ...
 
+    def flight(self) -> FlightOrders:
+        """What the autopilot shall do, after `tick`."""
+        ...
+
+    def walk(self, now_s: float, phase: Phase) -> BaseFacts | None:
+        """What the gate of the base has to know; None for a robot that does not walk."""
+        ...
+
     def regroup_point(self) -> FloatArray | None:
         """LiDAR position (3,) of the agreed regrouping point, None where there is none yet."""
         ...
@@ -200,7 +211,7 @@ class Role(Protocol):
         ...
 
     def tick(self, now_s: float, phase: Phase, pose: Pose) -> None:
-        """Periodic talk with the team."""
+        """Once a step, after everything else: orders to the autopilot, talk with the team."""
         ...
 
     def plan(self, now_s: float, phase: Phase, pose: Pose) -> Plan | None:

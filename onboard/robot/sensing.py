@@ -17,6 +17,11 @@ CLEARING_M = 1.25
 occupy."""
 
 
+START_DISC_M = 3.0
+"""The floor around the start is taken as flat: the lowest beam of a LiDAR on a walking robot first meets
+it there."""
+
+
 class Sensing:
     """Feeds one voxel map from the robot's own LiDAR and from its peers' keyframes."""
 
@@ -30,6 +35,13 @@ class Sensing:
     def sensor_pose(self, body: Pose) -> Pose:
         """Pose of the LiDAR when the body's reference point is at `body`."""
         return body.compose(self._mount)
+
+    def assume_floor(self, start: FloatArray) -> None:
+        """Take the ground around the floor point `start` (3,) for flat."""
+        steps = np.arange(-START_DISC_M, START_DISC_M, 0.1)
+        grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+        disc = grid[np.hypot(*grid.T) <= START_DISC_M]
+        self._map.assume_occupied(start + np.column_stack([disc, np.full(len(disc), -0.02)]))
 
     def integrate(self, scan: Scan, body: Pose) -> None:
         """Add an own scan to the map."""

@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from onboard.core.base import STILL, BaseOdometry, BodyVelocity
-from onboard.core.config import BaseLink, RobotSettings
+from onboard.core.config import BaseLink
 from onboard.core.geometry import Pose
 from onboard.robot.base_control import BaseControl, BaseInputs, PostureAnswer
 from onboard.robot.tracker import Stamped, StampedPath, StampedVelocity
+from tests.robots import WALKER
 
 PATH = np.array([[0.0, 0.0, 0.0], [6.0, 0.0, 0.0]])
 LINK = BaseLink(bridge="ros2dds", settle_s=1.0)
@@ -181,14 +182,14 @@ class TestVelocity:
     def test_speed_and_turning_stay_inside_the_limits(self):
         bench = self.walking(3.0, forward=3.0, left=4.0, turn=-9.0)
         velocity = self.wanted(bench, 3.0, 4.0, -9.0).velocity
-        assert np.hypot(velocity.forward_m_s, velocity.left_m_s) <= SETTINGS.speed_m_s
+        assert np.hypot(velocity.forward_m_s, velocity.left_m_s) <= WALKER.speed_m_s
         assert (velocity.forward_m_s, velocity.left_m_s) == pytest.approx((0.42, 0.56))
-        assert velocity.yaw_rate == -SETTINGS.yaw_rate_rad_s
+        assert velocity.yaw_rate == -WALKER.yaw_rate_rad_s
 
     def test_it_speeds_up_gently_and_brakes_at_once(self):
         bench = self.walking(0.0)
         speeds = [self.wanted(bench).velocity.forward_m_s for _ in range(20)]
-        assert np.diff([0.0, *speeds]).max() <= SETTINGS.acceleration_m_s2 * 0.05 + 1e-9
+        assert np.diff([0.0, *speeds]).max() <= WALKER.acceleration_m_s2 * 0.05 + 1e-9
         assert speeds[-1] == pytest.approx(0.6)
         assert self.wanted(bench, forward=0.1).velocity.forward_m_s == pytest.approx(0.1)
 

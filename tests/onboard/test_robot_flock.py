@@ -31,7 +31,7 @@ def test_everybody_explores_meets_and_has_everything_of_everybody(flown):
     assert [agent.core.phase for agent in mission.agents] == [Phase.DONE] * 4
     for name in FLYERS:
         phases = [f["phase"] for _, kind, f in events if kind == "phase" and f["robot"] == name]
-        assert phases[:2] == ["taking_off", "exploring"]
+        assert phases[:3] == ["ready", "taking_off", "exploring"]
     stores = [{(k.source, k.sequence) for k in agent.core.link.store} for agent in mission.agents]
     assert stores[0] == stores[1] == stores[2] == stores[3]
     assert {source for source, _ in stores[0]} == {1, 2, 3, 4}

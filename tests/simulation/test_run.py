@@ -187,7 +187,7 @@ def test_an_aerial_robot_alone_takes_off_and_comes_back(tmp_path):
     assert aerial["explored_m3"] == metrics["union_m3"] > 0.8 * ROOM_M3
     assert metrics["regroup"] == pytest.approx([-3.0, 0.0, 1.4], abs=0.01)
     phases = [event["phase"] for event in events_of(tmp_path) if event["kind"] == "phase"]
-    assert phases == ["exploring", "returning", "waiting", "done"]
+    assert phases == ["exploring", "returning", "waiting", "landing", "done"]
 
 
 def test_ctrl_c_leaves_what_there_is_and_goes_on(tmp_path):
