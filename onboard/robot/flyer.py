@@ -32,6 +32,7 @@ class Flyer:
 
     def __init__(self, team: Team) -> None:
         self._team = team
+        self._carriers = {peer.id for peer in team.peers if peer.kind == "ground"}
         self._targets: list[FloatArray] = []
         self._proposer: Proposer | None = None
         self._carrier: int | None = None
@@ -104,14 +105,13 @@ class Flyer:
 
     def handle(self, now_s: float, source: int, message: Message, pose: Pose) -> None:
         match message:
-            case Target():
+            case Target() if source in self._carriers:
                 self._carrier = source
                 self._targets = [np.array(p) for p in (message.position_m, *message.alternatives_m)]
             case Offer() | Chunk() if not self._departure.released:
                 self._finding.handle(now_s, source, message)
-            case Release() if self.located:
+            case Release() if self.located and source == self._carrier:
                 self._departure.released_s = now_s
-                self._carrier = source
                 self._proposer = self._proposer or Proposer(np.array(message.position_m))
             case Times() if self._proposer is not None:
                 self._consider(now_s, source, message, pose)

@@ -7,10 +7,11 @@ import numpy as np
 from onboard.core.config import Config
 from onboard.core.geometry import Pose, rotation_angle
 from onboard.core.lidar import VLP_16, Scan
-from onboard.mission import FLYING
+from onboard.mission import FLYING, Phase
 from onboard.robot.core import RobotCore
 from onboard.robot.flyer import Flyer
 from onboard.robot.map_frame import Estimated
+from onboard.sharing.messages import Release, Target
 from simulation.localisation import Poses
 from simulation.mission import Mission
 from simulation.scene import Scene
@@ -24,6 +25,9 @@ TUNNEL: list[Box] = [
     (-80.0, -1.7, -0.2, 80.0, -1.5, 3.2),
     (-80.0, 1.5, -0.2, 80.0, 1.7, 3.2),
 ]
+
+
+HERE = Pose.from_rpy(np.array([0.0, 0.0, 0.95]))
 
 
 def colocalising(duration_s: float = 40.0, **changes: float) -> Config:
@@ -118,6 +122,15 @@ def test_a_robot_restarted_just_before_its_release_finds_itself_anew_before_the_
         "release",
     ]
     assert flyer.core.phase in FLYING
+
+
+def test_nobody_but_its_carrier_sends_a_robot_off():
+    mission, _ = begun(team(mission={"duration_s": 10.0}), room(), "true")
+    role, carrier = mission.agents[1].core.role, mission.agents[0].settings.id
+    for source, released in ((carrier + 2, False), (carrier, True)):
+        role.handle(0.5, source, Target((1.0, 0.0, 1.0)), HERE)
+        role.handle(0.5, source, Release((0.0, 0.0, 0.7)), HERE)
+        assert role.facts(0.5, Phase.CARRIED, HERE).released is released
 
 
 def test_a_carrier_blanks_the_robot_on_its_back_although_that_one_does_not_know_where_it_is():
