@@ -14,6 +14,8 @@ from onboard.robot.roles import Team, vector
 SEARCH_M = 6.0
 BESIDE_M = 0.7
 """Room to leave between the bodies of this robot and another one that stands."""
+LOOK_BELOW_M = 1.0
+"""The ground nearest to this far below the robot is what it is over; none is looked for above it."""
 OVER_M = 0.2
 AGAIN_S, REACHED_WITHIN_S = 3.0, 25.0
 """Where no ground is known to be flat, or the place cannot be reached, it looks again after this."""
@@ -34,7 +36,11 @@ class Touchdown:
         team = self._team
         self._chosen_s = now_s
         self._place: LandingPlace | None = landing_place(
-            team.explorer.map, near, team.settings.size_m, radius_m=SEARCH_M, keep_off=_standing(team)
+            team.explorer.map,
+            near - np.array([0.0, 0.0, LOOK_BELOW_M]),
+            team.settings.size_m,
+            radius_m=SEARCH_M,
+            keep_off=_standing(team),
         )
         team.log("landing", ground=None if self._place is None else vector(self._place.ground))
 

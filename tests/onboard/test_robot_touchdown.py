@@ -136,6 +136,25 @@ def test_where_no_ground_is_known_to_be_flat_it_hovers_and_looks_again(monkeypat
     assert landing.made.plan(HERE) is not None
 
 
+def test_between_two_floors_it_lands_on_the_one_below(monkeypatch):
+    storeys = VoxelMap(0.2)
+    steps = np.arange(-4.0, 4.0, 0.1)
+    x, y = (grid.ravel() for grid in np.meshgrid(steps, steps))
+    sensor = np.eye(4)
+    for floor_m in (0.1, 3.3):
+        sensor[2, 3] = floor_m + 1.5
+        points = np.column_stack([x, y, np.full(len(x), -1.5)])
+        for _ in range(4):
+            storeys.integrate(points.astype(np.float32), sensor, min_range_m=0.1)
+    flight = Flight(lambda *_, **__: None)
+    told: list[Any] = []
+    team = team_of(storeys)
+    team.log = lambda kind, **fields: told.append(fields["ground"])
+    Touchdown(team, flight, 0.0, np.array([0.1, 0.1, 2.9]))
+    assert told[0] is not None
+    assert told[0][2] == pytest.approx(0.1, abs=0.15)
+
+
 def test_a_place_that_cannot_be_reached_is_left_for_another(monkeypatch):
     landing = Landing(monkeypatch, PLACE, None)
     landing.made.step(REACHED_WITHIN_S + 0.1, HERE)
