@@ -23,6 +23,10 @@ RosName = Annotated[str, Field(pattern=r"^[A-Za-z_][A-Za-z0-9_]*(/[A-Za-z_][A-Za
 MaskPolygon = Annotated[tuple[MaskCorner, ...], Field(min_length=3, max_length=64)]
 
 
+STAIRS_M_S = 0.35
+"""Of a legged base that says nothing else of itself."""
+
+
 class Section(BaseModel):
     """Base of every table: unknown keys are an error and values never change after loading."""
 
@@ -124,7 +128,7 @@ class BaseLink(Section):
     frame: str = "base_link"
     rate_hz: Annotated[float, Field(ge=5, le=100)] = 20.0
     """Commands a second; a base stops by itself when they cease."""
-    stairs_speed_m_s: Positive = 0.35
+    stairs_speed_m_s: Positive = STAIRS_M_S
     """On ground as steep as stairs, up and down."""
     settle_s: NonNegative = 3.0
     """After the base has agreed to stand up or to sit down, until it has."""
@@ -152,6 +156,13 @@ class RobotSettings(Section):
     battery_wh: Positive = 1000.0
     hover_power_w: Positive = 100.0
     reserve: Ratio = 0.2
+
+    @property
+    def stairs_speed_m_s(self) -> float:
+        """Speed on ground as steep as stairs; one that flies does not slow down."""
+        if self.kind == "aerial":
+            return self.speed_m_s
+        return min(self.speed_m_s, STAIRS_M_S if self.base is None else self.base.stairs_speed_m_s)
 
 
 class DeploymentSettings(Section):

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 from onboard.core.config import RobotSettings
 from onboard.planning.global_graph import GlobalGraph, Visible
 from onboard.planning.local_graph import FloatArray, LocalGraph, polyline_length, truncate
+from onboard.planning.pace import paces
 from onboard.planning.plan import Plan
 
 FREE_TURN_RAD = 0.4
@@ -23,8 +24,8 @@ def times_over_graph(
     """Seconds (N,) from each node to the nearest of `sources`, inf where there is no way.
 
     The sum over the cheapest way of length / speed, and of what its turns exceed FREE_TURN_RAD / yaw rate.
-    Lengths are true lengths on slopes, so that climbing counts as slower than the same way on the map; ways
-    that look blocked count as longer, and if `cautious` those that the robot has only seen, see `edges`.
+    Lengths are true lengths on slopes, which a base walks more slowly, too (`paces`); ways that look blocked
+    count as longer, and if `cautious` those that the robot has only seen, see `edges`.
     """
     costs, following, _ = graph.tree(sources, cautious)
     after = np.where(following >= 0, following, np.arange(len(costs)))
@@ -37,7 +38,9 @@ def times_over_graph(
         node = first if after[first] == second else second
         if after[node] in (first, second) and after[node] != node:
             lengths[node] = graph.edges.ways[first, second].travel_m
-    leg_s = lengths / settings.speed_m_s + _turns(points, after) / settings.yaw_rate_rad_s
+    runs, rises = np.linalg.norm((points[after] - points)[:, :2], axis=1), points[after, 2] - points[:, 2]
+    speeds = paces(np.arctan2(np.abs(rises), runs), settings.speed_m_s, settings.stairs_speed_m_s)
+    leg_s = lengths / speeds + _turns(points, after) / settings.yaw_rate_rad_s
     return np.where(np.isfinite(costs), _summed(leg_s, after), np.inf)
 
 

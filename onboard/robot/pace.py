@@ -5,21 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from onboard.core.geometry import FloatArray, Pose
+from onboard.planning.pace import pace
 from onboard.planning.plan import remaining_path
 
-FLAT_RAD = 0.14
-"""Up to here (8 degrees) floors count as level: floor heights in a map are rough."""
-STEEP_RAD = 0.40
-"""From here on (23 degrees; the flattest common stairs have 27) ground is walked as if it were stairs."""
 LOOK_M = 1.6
 STEP_M = 0.2
 BRAKE_RATIO = 0.7
-
-
-def pace(slope_rad: float, speed_m_s: float, stairs_m_s: float) -> float:
-    """Speed on ground of this slope, up or down: full on the level, that of stairs where it is steep."""
-    steep = np.clip((abs(slope_rad) - FLAT_RAD) / (STEEP_RAD - FLAT_RAD), 0.0, 1.0)
-    return float(speed_m_s + steep * (min(stairs_m_s, speed_m_s) - speed_m_s))
 
 
 def slope_limit(

@@ -16,6 +16,7 @@ from onboard.planning.homing import DOUBTFUL, FREE_TURN_RAD, stop_short, times_o
 from onboard.planning.plan import Plan
 from tests.onboard.air_scenes import Corner, hollow, unsurfaced, wall
 from tests.onboard.test_planning_deployment import FLYER
+from tests.robots import WALKER
 
 seconds = st.floats(0, 1e4)
 HOME = np.array([1.0, 1.0, 1.5])
@@ -68,6 +69,21 @@ def test_times_are_those_of_the_ways_and_of_what_their_turns_exceed(corners):
         clear = np.minimum(lengths[1:], lengths[:-1]) >= 0.1
         extra = (np.maximum(turns - FREE_TURN_RAD, 0) * clear).sum()
         assert times[node] == pytest.approx(lengths.sum() / 1.0 + extra / FLYER.yaw_rate_rad_s, abs=1e-6)
+
+
+@pytest.mark.parametrize(("rise_m", "pace_m_s"), [(0.0, 0.7), (0.4, 0.7), (1.2, 0.35), (-1.2, 0.35)])
+def test_a_walking_robot_is_slow_on_slopes_and_a_flying_one_is_not(rise_m, pace_m_s):
+    walker = WALKER.model_copy(update={"speed_m_s": 0.7})
+    graph = GlobalGraph(np.zeros(3))
+    graph.connect(0, graph._add(np.array([3.0, 0.0, rise_m])))
+    graph.connect(1, graph._add(np.array([6.0, 0.0, rise_m])))
+    ramp_m = float(np.hypot(3.0, rise_m))
+    steep = np.interp(np.arctan(abs(rise_m) / 3.0), [0.14, 0.40], [0.7, walker.stairs_speed_m_s])
+    assert steep == pytest.approx(pace_m_s, abs=0.03)
+    assert times_over_graph(graph, (0,), walker)[1:] == pytest.approx(
+        [ramp_m / steep, ramp_m / steep + 3.0 / 0.7]
+    )
+    assert times_over_graph(graph, (0,), FLYER)[1] == pytest.approx(ramp_m / FLYER.speed_m_s)
 
 
 def test_a_way_back_that_was_never_gone_counts_as_longer_and_a_gap_not_at_all():
