@@ -23,7 +23,9 @@ from wire import RESTART_S, Wire
 OFFBOARD, LAND = 7, 6
 ON_GROUND, IN_AIR = 1, 2
 KILLS = 20
-GAP_S = 0.5
+GAP_S, LOSS_S = 0.5, 1.0
+"""The promise, measured with MARSUPIAL_WIRE=1; and COM_OF_LOSS_T, from which on a PX4 gives up, which holds
+beside other users of the machine, too."""
 ANSWERS_S = 0.1
 """What a restarted daemon waits for: the vehicle's answers and the next pose."""
 
@@ -86,7 +88,8 @@ def test_daemon_killed_twenty_times_in_flight(wire: Wire, tmp_path: Path) -> Non
     if os.getloadavg()[0] < 0.7 * (
         os.cpu_count() or 1
     ):  # else the gaps are those of the machine's other users
-        assert gaps[-1] <= GAP_S, f"longest gaps {[round(gap, 2) for gap in gaps[-KILLS:]]}"
+        limit_s = GAP_S if "MARSUPIAL_WIRE" in os.environ else LOSS_S
+        assert gaps[-1] <= limit_s, f"longest gaps {[round(gap, 2) for gap in gaps[-KILLS:]]}"
     assert worst_m <= allowed_m
     wire.order("land")
     assert wire.run(20.0, lambda: wire.status.get("phase") == "idle" and not wire.status["armed"]), (
