@@ -10,11 +10,10 @@ from drivers.ros_messages import decode_trigger_reply, encode_command
 from drivers.ros_wire import gid_of
 from onboard.core.base import BaseOdometry, BodyVelocity, Posture
 from onboard.core.config import BaseLink, RobotSettings
-from onboard.core.geometry import FloatArray, Pose
+from onboard.core.geometry import FloatArray, Pose, tilt
 from onboard.planning.follower import Velocity
 from onboard.robot.base_control import BaseControl, BaseInputs, PostureAnswer
 from onboard.robot.base_gate import BaseGate, base_limits
-from onboard.robot.pace import tilt
 from onboard.robot.tracker import Stamped, StampedVelocity, in_body
 from onboard.safety_facts import BaseFacts
 from simulation.base_node import BaseNode

@@ -9,11 +9,10 @@ import numpy as np
 
 from drivers.ros_messages import encode_command
 from onboard.core.config import BaseLink, RobotSettings
-from onboard.core.geometry import FloatArray, Pose
+from onboard.core.geometry import FloatArray, Pose, tilt
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.ground_graph import build_ground_graph
 from onboard.planning.plan import onward
-from onboard.robot.pace import tilt
 from onboard.robot.tracker import BaseTracker, Stamped, StampedPath
 from simulation.base_node import BaseNode
 from simulation.ground_robot import GroundRobot

@@ -162,7 +162,7 @@ class RobotSettings(Section):
         """Speed on ground as steep as stairs; one that flies does not slow down."""
         if self.kind == "aerial":
             return self.speed_m_s
-        return min(self.speed_m_s, STAIRS_M_S if self.base is None else self.base.stairs_speed_m_s)
+        return STAIRS_M_S if self.base is None else self.base.stairs_speed_m_s
 
 
 class DeploymentSettings(Section):

@@ -131,6 +131,11 @@ class Pose:
         return Pose(-self.rotation.T @ self.position, np.array([-x, -y, -z, w]))
 
 
+def tilt(pose: Pose) -> float:
+    """Angle in radians between a pose's z axis and the vertical."""
+    return float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))
+
+
 def apart(a: Pose, b: Pose) -> tuple[float, float]:
     """Distance in metres and angle in radians between two poses."""
     return float(np.linalg.norm(a.position - b.position)), rotation_angle(a.quaternion, b.quaternion)

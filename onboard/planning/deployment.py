@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from onboard.core.config import DeploymentSettings, RobotSettings
-from onboard.core.geometry import Pose
+from onboard.core.geometry import Pose, tilt
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.aerial_graph import AerialGraph
 from onboard.planning.body import Body
@@ -158,8 +158,3 @@ class Trigger:
 def flight_time(aerial: RobotSettings, charge: float = 1.0) -> float:
     """Seconds that an aerial robot can hover with a charge in [0, 1] above its reserve."""
     return max(0.0, charge - aerial.reserve) * aerial.battery_wh * 3600.0 / aerial.hover_power_w
-
-
-def tilt(pose: Pose) -> float:
-    """Angle in radians between a pose's z axis and the vertical."""
-    return float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))

@@ -111,7 +111,7 @@ class RobotCore:
         self.role.tick(now_s, self.phase, pose)
         self.link.set_status(self._status(inputs, pose))
         return Outputs(
-            self.team.frame.pose(inputs.told),
+            pose,
             velocity,
             self.role.release,
             frames,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from onboard.core.geometry import Pose
+from onboard.core.geometry import Pose, tilt
 from onboard.mapping.room import room
 from onboard.mission import Phase
-from onboard.planning.deployment import tilt
 from onboard.planning.local_graph import FloatArray
 from onboard.planning.overhead import free_above
 from onboard.robot.flight import Climb, Flight

@@ -10,9 +10,9 @@ import numpy as np
 
 from onboard.core.base import BaseOdometry
 from onboard.core.config import RobotSettings
-from onboard.core.geometry import Pose
+from onboard.core.geometry import Pose, tilt
 from onboard.mission import FLYING, Phase
-from onboard.planning.deployment import AerialOutlook, tilt
+from onboard.planning.deployment import AerialOutlook
 from onboard.planning.local_graph import FloatArray
 from onboard.robot.interface import BracketState
 from onboard.robot.localised import Veto

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from onboard.core.geometry import FloatArray, Pose
+from onboard.core.geometry import FloatArray, Pose, tilt
 from onboard.planning.pace import pace
 from onboard.planning.plan import remaining_path
 
@@ -42,8 +42,3 @@ def slopes_ahead(way: FloatArray, body_m: float) -> list[tuple[float, float]]:
     rises = np.interp(ends, along, way[:, 2]) - np.interp(starts, along, way[:, 2])
     slopes = np.arctan2(rises, np.maximum(ends - starts, STEP_M))
     return [(float(middle), float(slope)) for middle, slope in zip(middles, slopes, strict=True)]
-
-
-def tilt(pose: Pose) -> float:
-    """Angle in radians between the body's z axis and the vertical."""
-    return float(np.arccos(np.clip(pose.rotation[2, 2], -1.0, 1.0)))

@@ -6,8 +6,8 @@ import math
 
 from onboard.core.base import STILL, BodyVelocity
 from onboard.core.config import RobotSettings
+from onboard.core.geometry import tilt
 from onboard.planning.pace import pace
-from onboard.robot.pace import tilt
 from onboard.robot.tracker import STALE_S, Drive, Halt, Stamped, StampedVelocity, is_finite, is_fresh
 
 INSIDE = 1.0 - 1e-9

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from onboard.core.config import DeploymentSettings, RobotSettings
-from onboard.core.geometry import Pose
+from onboard.core.geometry import Pose, tilt
 from onboard.mapping.voxel_map import VoxelMap
 from onboard.planning.body import Body
 from onboard.planning.deployment import (
@@ -20,7 +20,6 @@ from onboard.planning.deployment import (
     Trigger,
     aerial_outlook,
     flight_time,
-    tilt,
 )
 from tests.onboard.air_scenes import hollow, wall
 

@@ -8,9 +8,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from onboard.core.base import STILL, BodyVelocity
-from onboard.core.geometry import Pose
+from onboard.core.geometry import Pose, tilt
 from onboard.planning.pace import FLAT_RAD, STEEP_RAD, pace
-from onboard.robot.pace import slope_limit, slopes_ahead, tilt
+from onboard.robot.pace import slope_limit, slopes_ahead
 from onboard.robot.tracker import LEAD_M, STALE_S, BaseTracker, Stamped, StampedPath, aimed
 from tests.robots import WALKER
 
